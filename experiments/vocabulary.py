@@ -1,13 +1,12 @@
 """Training of the vocabulary for place recognition, only on frames rendered by this project."""
 
-from collections.abc import Callable, Iterable
-from contextlib import nullcontext
-from pathlib import Path
+from collections.abc import Iterable
 
 import numpy as np
 
 from dslab.experiments.runs.execution import slam_camera
 from dslab.scenarios.spec import Scenario
+from dslab.sim.io.folders import Progress
 from dslab.sim.sequence import Sequence
 from dslab.sim.sequence_rendering import render_sequence
 from dslab.sim.unfinished import scratch_folder
@@ -16,12 +15,10 @@ from dslab.slam.features.orb import OrbExtractor
 from dslab.slam.places.recognition import Vocabulary
 from dslab.slam.places.training import train_vocabulary
 
-BRANCHING, LEVELS = 10, 4
+BRANCHING, LEVELS, SEEDS_EACH = 10, 4, 3
 FIRST_SEED = 1000
 """First seed for training; experiments and tests use lower seeds."""
 _DURATION_S = 36
-
-Progress = Callable[[str, int, int], None]
 
 
 def training_scenarios() -> list[Scenario]:
@@ -62,37 +59,31 @@ def describe(sequence: Sequence) -> list[np.ndarray]:
 
 
 def train(
-    scenarios: Iterable[Scenario],
-    seeds_each: int,
-    seed: int = 0,
+    scenarios: Iterable[Scenario] | None = None,
+    seeds_each: int = SEEDS_EACH,
     branching: int = BRANCHING,
     levels: int = LEVELS,
-    cache_dir: Path | None = None,
     progress: Progress | None = None,
 ) -> Vocabulary:
-    """Render the training set and train a vocabulary on it.
+    """Render a training set and train a vocabulary on it.
 
     Args:
-        scenarios: the training set.
+        scenarios: the training set; None for that of the package.
         seeds_each: number of seeds of each scenario, from ``FIRST_SEED`` on.
-        seed: of the clustering.
         branching, levels: of the tree.
-        cache_dir: cache of rendered frames; None keeps none.
         progress: called with (step, done, total).
 
     Raises:
         InputError: the frames cannot be rendered.
     """
-    show = progress or (lambda step, done, total: None)
-    scenarios = list(scenarios)
+    scenarios = training_scenarios() if scenarios is None else list(scenarios)
     jobs = [(scenario, FIRST_SEED + n) for scenario in scenarios for n in range(seeds_each)]
     images: list[np.ndarray] = []
-    for done, (scenario, world_seed) in enumerate(jobs):
-        show("training images", done, len(jobs))
-        scratch = scratch_folder() if cache_dir is None else nullcontext(cache_dir)
-        with scratch as folder:
+    for done, (scenario, world_seed) in enumerate(jobs, 1):
+        with scratch_folder() as folder:
             images += describe(render_sequence(scenario, world_seed, cache_dir=folder))
-    show("training images", len(jobs), len(jobs))
+        if progress is not None:
+            progress("training images", done, len(jobs))
     provenance = {
         "images": "rendered by this project",
         "scenarios": [s.model_dump(mode="json") for s in scenarios],
@@ -101,6 +92,6 @@ def train(
         "descriptors": sum(len(d) for d in images),
         "branching": branching,
         "levels": levels,
-        "seed": seed,
+        "seed": 0,
     }
-    return train_vocabulary(images, branching, levels, seed, provenance)
+    return train_vocabulary(images, branching, levels, 0, provenance)

@@ -19,12 +19,11 @@ def main() -> None:
     with safe_streams(), signals_as_interrupts() as received:
         try:
             # Imported here, so that a signal meanwhile is heeded too.
-            from dslab.experiments.cli.commands import app
-            from dslab.experiments.cli.usage import run_app
+            from dslab.experiments.cli.commands import run_app
             from dslab.experiments.plugins import load_plugins
 
             load_plugins()
-            run_app(app)
+            run_app()
         except BaseException as ending:
             if isinstance(ending, SystemExit) and not ending.code:
                 raise

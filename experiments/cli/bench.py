@@ -1,33 +1,30 @@
 """``dslab bench``."""
 
-from typing import TYPE_CHECKING, Annotated, Any
+from collections.abc import Iterator
+from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 from typer.core import TyperGroup
 
-from dslab.experiments.cli.bench_direct import direct_command
 from dslab.experiments.cli.console import (
     JsonOption,
-    ModeChoice,
     ModeOption,
+    NoRelocalizationOption,
     RealTimeOption,
     RendererOption,
+    SeedOption,
     SourceArgument,
+    SystemName,
     check_real_time,
     number,
     out,
     print_json_line,
-    print_table,
+    print_rows,
     progress_bars,
     share,
     single_threaded_opencv,
 )
-from dslab.experiments.cli.run import SystemChoice
 from dslab.scenarios.errors import InputError
-
-if TYPE_CHECKING:
-    from dslab.slam.dual.config import DualConfig
 
 _HELP = """Measure the speed of the tracker (`slam`), the simulator (`sim`) or whole units (`experiment`).
 
@@ -58,24 +55,69 @@ class _SlamByDefault(TyperGroup):
 
 
 app = typer.Typer(help=_HELP, cls=_SlamByDefault)
-app.command("direct")(direct_command)
+
+
+@app.command("direct")
+def direct_command(
+    seeds: Annotated[str, typer.Option(help="Seeds of the worlds, such as 7 or 1-10.")] = "301-302",
+    as_json: JsonOption = False,
+) -> None:
+    """Hold photometric alignment against exact depth and pose, over rendered frames one to ten apart.
+
+    In five worlds, at 640x480: errors of the motion; how far a guess may be turned for it to be found; CPU
+    time of the steps of the direct thread; memory of the images that are held for it. A minute per seed. For
+    example:
+
+    `dslab bench direct --seeds 301-302`
+    """
+    from dslab.experiments.benchmarks.direct import bench_direct
+
+    single_threaded_opencv()
+    with progress_bars() as show:
+        figures = bench_direct(_seeds(seeds), show)
+    if as_json:
+        print_json_line(figures)
+        return
+    asked = figures["asked"]
+    print_rows(
+        (
+            {
+                "world": world,
+                "pairs": row["pairs"],
+                "missed": row["missed"],
+                "median shift\nshare of depth": number(row["translation_share_median"], 6),
+                "median turn\ndeg": number(row["rotation_deg_median"], 4),
+                "basin\npx": number(row["basin_px"], 0),
+                "basin\ndeg": number(row["basin_deg"], 1),
+                "held for 10 s\nMB": number(figures["held_mb"].get(world), 0),
+            }
+            for world, row in {**figures["worlds"], "all": figures["all"]}.items()
+        ),
+        f"errors of alignment; asked of the medians: {asked['translation_share']:g} of the depth, "
+        f"{asked['rotation_deg']:g} degrees",
+    )
+    steps = ({"step": step, "median CPU ms": number(ms, 1)} for step, ms in figures["cpu_ms"].items())
+    print_rows(steps, "CPU, 640x480, 1,500 points")
+
+
+def _seeds(text: str) -> list[int]:
+    """One seed or a range of seeds, such as 7 or 1-10."""
+    first, _, last = text.partition("-")
+    if not first.isdecimal() or ("-" in text and not last.isdecimal()) or int(last or first) < int(first):
+        raise InputError(f"--seeds {text}", "is no seed or range of seeds", "write it as 7 or 1-10")
+    return list(range(int(first), int(last or first) + 1))
 
 
 @app.command("slam")
 def slam_command(
     source: SourceArgument = "clean-room",
     runs: Annotated[int, typer.Option(min=1, help="Number of runs.")] = 1,
-    system: Annotated[SystemChoice, typer.Option(help="The SLAM system.")] = SystemChoice.BASE,
-    seed: Annotated[int | None, typer.Option(min=0, help="Root seed.")] = None,
+    system: Annotated[SystemName, typer.Option(help="The SLAM system.")] = "base",
+    seed: SeedOption = None,
     renderer: RendererOption = None,
-    mode: ModeOption = ModeChoice.LOCKSTEP,
+    mode: ModeOption = "lockstep",
     real_time: RealTimeOption = False,
-    no_relocalization: Annotated[
-        bool,
-        typer.Option(
-            "--no-relocalization", help="Do not relocalize in saved maps until a new map is initialized."
-        ),
-    ] = False,
+    no_relocalization: NoRelocalizationOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the tracker: CPU milliseconds per stage, frames per second, memory, map size.
@@ -87,31 +129,27 @@ def slam_command(
     `dslab bench slam stressed --seed 3 --system dual --no-relocalization --mode threaded --real-time`
     """
     from dslab.experiments.benchmarks.tracker import bench
-    from dslab.experiments.runs.files import plain
     from dslab.experiments.runs.sources import open_sequence
+    from dslab.slam.dual.config import DualConfig
 
     check_real_time(real_time, mode)
-    if no_relocalization and system in (SystemChoice.BASE, SystemChoice.DSO):
-        raise InputError(
-            "--no-relocalization", f"{system.value} never looks for saved maps", "add --system dual"
-        )
+    if no_relocalization and system in ("base", "dso"):
+        raise InputError("--no-relocalization", f"{system} never looks for saved maps", "add --system dual")
     single_threaded_opencv()
     with progress_bars() as show:
         sequence = open_sequence(source, seed, show, renderer=renderer)
+        dual = DualConfig(relocalization=False) if no_relocalization else None
         figures = bench(
-            sequence,
-            system.value,
-            runs,
-            seed or 0,
-            show,
-            mode=mode.value,
-            real_time=real_time,
-            dual=_without_relocalization() if no_relocalization else None,
-        )
+            sequence, system, runs, seed or 0, show, mode=mode, real_time=real_time, dual=dual
+        )  # fmt: skip
     if as_json:
-        print_json_line(plain(figures))
+        print_json_line(figures)
         return
-    print_table(_stages_table(figures))
+    print_rows(
+        _stages(figures),
+        f"{figures['sequence']}, {figures['system']}, {figures['mode']}, {figures['runs']} run(s), "
+        f"{figures['frames']} frames each",
+    )
     out.print(
         f"{number(figures['frames_per_s'], 1)} frames per second overall, "
         f"peak memory {number(figures['peak_rss_mb'], 0)} MiB, "
@@ -120,43 +158,31 @@ def slam_command(
     )
     if real_time:
         out.print(f"frames dropped, run by run: {', '.join(map(str, figures['dropped_frames']))}")
-    if figures["fusions"]["beside_frames"]:
-        _print_fusions(figures["fusions"])
+    fusions = figures["fusions"]
+    if fusions["beside_frames"]:
+        out.print(
+            f"{fusions['count']} fusions, the longest holds tracking up for "
+            f"{number(fusions['hold_up_ms_max'], 1)} ms; dropped beside recovery and fusion: "
+            f"{fusions['beside_dropped']} of {fusions['beside_frames'] + fusions['beside_dropped']} frames, "
+            f"else {fusions['other_dropped']} of {fusions['other_frames'] + fusions['other_dropped']}"
+        )
 
 
-def _without_relocalization() -> "DualConfig":
-    from dslab.slam.dual.config import DualConfig
-
-    return DualConfig(relocalization=False)
-
-
-def _print_fusions(fusions: dict[str, Any]) -> None:
-    out.print(
-        f"{fusions['count']} fusions, the longest holds tracking up for "
-        f"{number(fusions['hold_up_ms_max'], 1)} ms; dropped beside recovery and fusion: "
-        f"{fusions['beside_dropped']} of {fusions['beside_frames'] + fusions['beside_dropped']} frames, "
-        f"else {fusions['other_dropped']} of {fusions['other_frames'] + fusions['other_dropped']}"
-    )
-
-
-def _stages_table(figures: dict[str, Any]) -> Table:
-    table = Table(
-        title=f"{figures['sequence']}, {figures['system']}, {figures['mode']}, "
-        f"{figures['runs']} run(s), {figures['frames']} frames each"
-    )
-    for column in ("stage", "median CPU ms", "p95 CPU ms"):
-        table.add_column(column, justify="left" if column == "stage" else "right")
-    for stage, row in figures["stages"].items():
-        table.add_row(stage, number(row["cpu_ms_median"], 2), number(row["cpu_ms_p95"], 2))
-    table.add_section()
-    for name, prefix in (
-        ("tracking, whole frame", ""),
-        ("mapping, per keyframe", "mapping_"),
-        ("loop closing, per keyframe", "loop_"),
-    ):
-        median, p95 = figures[f"{prefix}cpu_ms_median"], figures[f"{prefix}cpu_ms_p95"]
-        table.add_row(name, number(median, 2), number(p95, 2))
-    return table
+def _stages(figures: dict[str, Any]) -> Iterator[dict[str, str]]:
+    whole = {
+        "tracking, whole frame": "",
+        "mapping, per keyframe": "mapping_",
+        "loop closing, per keyframe": "loop_",
+    }
+    totals = {
+        name: {of: figures[f"{prefix}{of}"] for of in ("cpu_ms_median", "cpu_ms_p95")}
+        for name, prefix in whole.items()
+    }
+    for rows in (figures["stages"], totals):
+        for name, row in rows.items():
+            median, p95 = number(row["cpu_ms_median"], 2), number(row["cpu_ms_p95"], 2)
+            yield {"stage": name, "median CPU ms": median, "p95 CPU ms": p95}
+        yield {}
 
 
 @app.command("sim")
@@ -180,42 +206,31 @@ def sim_command(
     if as_json:
         print_json_line(figures)
         return
-    print_table(_rates_table(figures))
-    build, targets = figures["build"], figures["asked"]
+    build, asked, size = figures["build"], figures["asked"], figures["size_px"]
+    rates = {f"rendered, {name.replace('_', ' ')}": row for name, row in figures["rendered"].items()}
+    rates |= {"degraded": figures["degraded"]["sharp"], "degraded, blurred": figures["degraded"]["blurred"]}
+    limits = {"degraded": asked["degraded_per_s"], "degraded, blurred": None}
+    print_rows(
+        (
+            {
+                "frames": name,
+                "per\nsecond": number(row["frames_per_s"], 1),
+                "asked": number(limits.get(name, asked["rendered_per_s"]), 0),
+                "CPU ms\neach": number(row["cpu_ms"], 1),
+                "with a\nfree core\neach": number(row["frames_per_s_alone"], 1),
+                "peak\nMiB": number(row["peak_rss_mb"], 0),
+                "at most": number(asked["peak_rss_mb"], 0),
+            }
+            for name, row in rates.items()
+        ),
+        f"{figures['renderer']}, {figures['processes']} processes, {'x'.join(map(str, size))}",
+    )
     out.print(
         f"City of 1 km: built in {number(build['build_s'], 1)} s, {number(build['build_cpu_s'], 1)} s of CPU "
-        f"(limit: {number(targets['build_s'], 0)} s), "
+        f"(limit: {number(asked['build_s'], 0)} s), "
         f"then loaded into the renderer in {number(build['load_s'], 1)} s; "
         f"peak memory {number(build['peak_rss_mb'], 0)} MiB"
     )
-
-
-def _rates_table(figures: dict[str, Any]) -> Table:
-    targets = figures["asked"]
-    table = Table(
-        title=f"{figures['renderer']}, {figures['processes']} processes, "
-        f"{'x'.join(map(str, figures['size_px']))}"
-    )
-    table.add_column("frames")
-    for column in ("per\nsecond", "target", "CPU ms\neach", "with a\nfree core\neach", "peak\nMiB", "limit"):
-        table.add_column(column, justify="right")
-    rows = [
-        (f"rendered, {name.replace('_', ' ')}", row, number(targets["rendered_per_s"], 0))
-        for name, row in figures["rendered"].items()
-    ]
-    rows.append(("degraded", figures["degraded"]["sharp"], number(targets["degraded_per_s"], 0)))
-    rows.append(("degraded and blurred", figures["degraded"]["blurred"], "-"))
-    for name, row, least in rows:
-        table.add_row(
-            name,
-            number(row["frames_per_s"], 1),
-            least,
-            number(row["cpu_ms"], 1),
-            number(row["frames_per_s_alone"], 1),
-            number(row["peak_rss_mb"], 0),
-            number(targets["peak_rss_mb"], 0),
-        )
-    return table
 
 
 @app.command("experiment")
@@ -242,14 +257,19 @@ def experiment_command(
     if as_json:
         print_json_line(figures)
         return
-    table = Table(title=f"{figures['experiment']}, {figures['cores']} cores")
-    for column in ("workers", "units", "units per hour", "CPU s each", "render", "SLAM", "overhead"):
-        table.add_column(column, justify="right")
-    for lap in figures["laps"]:
-        shares = (share(lap[f"{part}_share"]) for part in ("render", "slam", "overhead"))
-        each = number(lap["cpu_s"] / lap["units"] if lap["units"] else None, 1)
-        table.add_row(str(lap["workers"]), str(lap["units"]), number(lap["units_per_hour"], 1), each, *shares)
-    print_table(table)
+    print_rows(
+        (
+            {
+                "workers": lap["workers"],
+                "units": lap["units"],
+                "units per hour": number(lap["units_per_hour"], 1),
+                "CPU s each": number(lap["cpu_s"] / lap["units"] if lap["units"] else None, 1),
+                **{part: share(lap[f"{part}_share"]) for part in ("render", "slam", "overhead")},
+            }
+            for lap in figures["laps"]
+        ),
+        f"{figures['experiment']}, {figures['cores']} cores",
+    )
     out.print(
         f"{workers} workers compared with one: {number(figures['speed_up'], 2)} times the units per hour "
         f"({number(figures['speed_up_cores_free'], 2)} with a free core each, by CPU time)"

@@ -1,13 +1,21 @@
 """``dslab experiment boundary``."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from dslab.experiments.cli.console import JsonOption, SystemsOption, check_seed, err, out, print_json_line
-from dslab.experiments.cli.experiment_progress import experiment_progress
+from dslab.experiments.cli.console import JsonOption, SeedOption, SystemsOption, print_json_line, say
+from dslab.experiments.cli.units import (
+    MEMORY_MB,
+    TIMEOUT_S,
+    CoresOption,
+    MemoryOption,
+    RerunDamagedOption,
+    RetryErrorsOption,
+    TimeoutOption,
+    unit_progress,
+)
 
 if TYPE_CHECKING:
     from dslab.experiments.campaign.boundary_schedule import BoundarySchedule
@@ -15,22 +23,12 @@ if TYPE_CHECKING:
     from dslab.experiments.eq1.boundary_plan import BoundaryPlan
 
 
-class FailureChoice(StrEnum):
-    """What is to fail."""
-
-    BASE = "base"
-    DUAL = "dual"
-    SYSTEM = "system"
-    MISSION = "mission"
-    RECOVERY = "recovery"
-
-
 def boundary_command(
     kind: Annotated[
         str, typer.Argument(metavar="KIND", help="Kind of stress; KIND-creeping for one that rises slowly.")
     ],
     of: Annotated[
-        FailureChoice,
+        Literal["base", "dual", "system", "mission", "recovery"],
         typer.Option(
             help="base: tracking breaks (B); dual: and every thread fails (D); system: what a user gets (S); "
             "mission: that, or silently or falsely wrong (M); recovery: thread 1 does not cross (R_1)."
@@ -64,22 +62,12 @@ def boundary_command(
     strongest: Annotated[
         float | None, typer.Option(help="Strongest dose; below the weakest where less is stronger.")
     ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(min=0, callback=check_seed, help="Root of worlds, paths and noise."),
-    ] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
-    timeout: Annotated[float, typer.Option(min=1, help="Time limit of a trial in seconds.")] = 1800.0,
-    memory: Annotated[
-        int, typer.Option(min=0, metavar="MB", help="Memory limit of a worker; 0: none.")
-    ] = 4000,
-    retry_errors: Annotated[
-        bool,
-        typer.Option("--retry-errors", help="Retry trials that were given up for infrastructure errors."),
-    ] = False,
-    rerun_damaged: Annotated[
-        bool, typer.Option("--rerun-damaged", help="Drop damaged rows of the ledger and run them again.")
-    ] = False,
+    seed: SeedOption = None,
+    workers: CoresOption = None,
+    timeout: TimeoutOption = TIMEOUT_S,
+    memory: MemoryOption = MEMORY_MB,
+    retry_errors: RetryErrorsOption = False,
+    rerun_damaged: RerunDamagedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Find the dose of a stress at which a failure has a given probability.
@@ -105,44 +93,29 @@ def boundary_command(
     from dslab.experiments.eq1.spec import load_spec
     from dslab.experiments.report.boundary import PICTURE_FILE, write_boundary
 
+    axis = dose_axis(kind.removesuffix("-creeping"), dose, weakest, strongest)
     plan = boundary_plan(
-        load_spec(spec),
-        kind,
-        of.value,
-        fail,
-        base=base,
-        trials=trials,
-        shams=sham,
-        batch=batch,
-        seed=seed,
-        axis=dose_axis(kind.removesuffix("-creeping"), dose, weakest, strongest),
-        system=system,
-    )
+        load_spec(spec), kind, of, fail, base=base, trials=trials, shams=sham, batch=batch, seed=seed or 0,
+        axis=axis, system=system,
+    )  # fmt: skip
     units = unit_workers(plan.spec, systems_dir or (), workers, None, timeout, memory)
     order = _Estimating(plan)
-    try:
-        with experiment_progress(f"{kind}, {of.value} {fail:g}", order.text) as show:
-            tally = run_experiment(
-                plan.spec,
-                out_dir,
-                units.open,
-                retry_errors,
-                rerun_damaged,
-                show,
-                order.schedule,
-                units.digests,
-            )
-    except KeyboardInterrupt:
-        err.print(
-            f"{out_dir} keeps the finished trials: run the same command again to resume", soft_wrap=True
+    with unit_progress(f"{kind}, {of} {fail:g}", out_dir, order.text) as show:
+        tally = run_experiment(
+            plan.spec, out_dir, units.open, retry_errors, rerun_damaged, show, order.schedule, units.digests
         )
-        raise
     found = write_boundary(plan, out_dir)
     if as_json:
         print_json_line(found)
         return
-    _print_answer(found, tally)
-    out.print(f"picture in {out_dir / PICTURE_FILE}", soft_wrap=True)
+    say(found["answer"])
+    sham_trials = found["sham"]
+    given_up = f", {tally.errors} given up for: {tally.cause}" if tally.errors else ""
+    say(
+        f"{tally.done} trials in as many worlds, {tally.void} of them void{given_up}; "
+        f"without stress {sham_trials['failures']} of {sham_trials['trials']} fail"
+    )
+    say(f"picture in {out_dir / PICTURE_FILE}")
 
 
 class _Estimating:
@@ -170,11 +143,3 @@ class _Estimating:
             text = answer_text(grid.boundary(weights, self._plan.level), self._plan)
             self._shown = tally.done, text.partition(": ")[2]
         return f"{self._shown[1]}, {tally.void} void" + (f", {tally.errors} errors" if tally.errors else "")
-
-
-def _print_answer(found: dict[str, Any], tally: "Tally") -> None:
-    sham = found["sham"]
-    out.print(found["answer"], soft_wrap=True)
-    counts = f"{tally.done} trials in as many worlds, {tally.void} of them void"
-    counts += f", {tally.errors} given up for: {tally.cause}" if tally.errors else ""
-    out.print(f"{counts}; without stress {sham['failures']} of {sham['trials']} fail", soft_wrap=True)

@@ -30,14 +30,15 @@ def show(context: typer.Context) -> None:
     from dslab.sim.cache import CACHE_DIR_VARIABLE, FolderCache
 
     store = FolderCache()
-    entries = store.entries()
-    facts = {
+    entries, now_s = store.entries(), time.time()
+    facts: dict[str, object] = {
         "folder": f"{store.root}; {CACHE_DIR_VARIABLE} names another",
         "size": size_text(store),
-        "entries": str(len(entries)),
+        "entries": len(entries),
     }
     if entries:
-        facts["last used"] = f"{_age(entries[-1])} ago; the oldest {_age(entries[0])} ago"
+        last, oldest = ((now_s - entries[place].used_s) / _DAY_S for place in (-1, 0))
+        facts["last used"] = f"{last:.1f} days ago; the oldest {oldest:.1f} days ago"
     print_facts(facts)
 
 
@@ -59,29 +60,16 @@ def clean(
 
     store = FolderCache()
     deleted, used = store.clean(older_than * _DAY_S)
-    kept = f"; {_count(used)} in use" if used else ""
-    print(f"{store.root}: {_count(deleted)} deleted, {gigabytes(deleted)}{kept}")
+    kept = f"; {len(used)} in use" if used else ""
+    print(f"{store.root}: {len(deleted)} deleted, {_gigabytes(deleted)}{kept}")
 
 
 def size_text(store: "FolderCache") -> str:
     """Size and cap of a cache."""
     from dslab.sim.cache import MAX_BYTES
 
-    return f"{gigabytes(store.entries())} of at most {MAX_BYTES / 1e9:g} GB"
+    return f"{_gigabytes(store.entries())} of at most {MAX_BYTES / 1e9:g} GB"
 
 
-def gigabytes(entries: "list[Entry]") -> str:
-    """Size of entries of the cache."""
+def _gigabytes(entries: "list[Entry]") -> str:
     return f"{sum(entry.size_bytes for entry in entries) / 1e9:.2f} GB"
-
-
-def _count(entries: "list[Entry]") -> str:
-    return f"{len(entries)} entr{'y' if len(entries) == 1 else 'ies'}"
-
-
-def _age(entry: "Entry") -> str:
-    seconds = max(time.time() - entry.used_s, 0)
-    for unit, length_s in (("days", _DAY_S), ("hours", 3600)):
-        if seconds >= 2 * length_s:
-            return f"{seconds / length_s:.0f} {unit}"
-    return f"{seconds / 60:.0f} min"

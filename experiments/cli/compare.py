@@ -1,13 +1,21 @@
 """``dslab compare``."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
-from dslab.experiments.cli.console import FolderOption, JsonOption, out, print_json_line, print_table
+from dslab.experiments.cli.console import FolderOption, JsonOption, print_json_line, print_rows, say
+
+_FIGURES = {
+    "robustness": "robust-\nness",
+    "completeness": "com-\nplete",
+    "ate_m": "ATE\nm",
+    "rpe_m": "RPE\nm per s",
+    "breakages": "break-\nages",
+    "cpu_ms_median": "CPU ms\nper frame",
+}
 
 
 def compare_command(
@@ -35,38 +43,24 @@ def compare_command(
     if as_json:
         print_json_line(content)
         return
-    print_table(_table(content))
+    print_rows(_rows(content), "means over the runs, half the 95 % interval of the mean")
     for sequence in content["sequences"]:
         for system in sequence["systems"]:
-            out.print(f"{sequence['name']}, {system['name']}: {system['audit']}", markup=False)
-    out.print(f"page  {out_dir / PAGE_FILE}", soft_wrap=True)
+            say(f"{sequence['name']}, {system['name']}: {system['audit']}")
+    say(f"page  {out_dir / PAGE_FILE}")
 
 
-_HEADERS = {
-    "robustness": "robust-\nness",
-    "completeness": "com-\nplete",
-    "ate_m": "ATE\nm",
-    "rpe_m": "RPE\nm per s",
-    "breakages": "break-\nages",
-    "cpu_ms_median": "CPU ms\nper frame",
-}
-
-
-def _table(content: dict[str, Any]) -> Table:
-    table = Table(title="means over the runs, half the 95 % interval of the mean")
-    for header in ("", "runs", *_HEADERS.values()):
-        table.add_column(header, justify="right" if header else "left")
+def _rows(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for sequence in content["sequences"]:
-        table.add_section()
-        table.add_row(Text(sequence["name"], "bold"))
+        yield {"": sequence["name"], "runs": "", **dict.fromkeys(_FIGURES.values(), "")}
         for system in sequence["systems"]:
-            figures = (_cell(system["figures"][name]) for name in _HEADERS)
-            table.add_row(system["name"], str(system["runs"]), *figures)
-    return table
+            figures = {title: _cell(system["figures"][name]) for name, title in _FIGURES.items()}
+            yield {"": system["name"], "runs": system["runs"], **figures}
+        yield {}
 
 
-def _cell(spread: dict[str, Any]) -> str:
+def _cell(spread: dict[str, Any]) -> str | None:
     if spread["mean"] is None:
-        return "-"
+        return None
     text = f"{spread['mean']:.3g}"
     return text if spread["low"] is None else f"{text}\n±{spread['high'] - spread['mean']:.2g}"

@@ -1,10 +1,8 @@
 """``dslab config``."""
 
-import json
-
 import typer
 
-from dslab.experiments.cli.console import out
+from dslab.experiments.cli.console import print_schema
 
 app = typer.Typer(
     no_args_is_help=True, help="Settings of the SLAM: see them all, check files against their schema."
@@ -19,7 +17,7 @@ def show_command() -> None:
     """
     from dslab.experiments.runs.slam_settings import settings_yaml
 
-    out.print(settings_yaml(), highlight=False, soft_wrap=True, end="")
+    print(settings_yaml(), end="")
 
 
 @app.command("schema")
@@ -30,4 +28,4 @@ def schema_command() -> None:
     """
     from dslab.experiments.runs.slam_settings import settings_schema
 
-    out.print(json.dumps(settings_schema(), indent=2), highlight=False, soft_wrap=True)
+    print_schema(settings_schema())

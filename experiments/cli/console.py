@@ -1,17 +1,27 @@
-"""Common parts of the commands: options, consoles, progress bars."""
+"""Common parts of the commands: options, consoles, progress bars, tables."""
 
 import json
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich import box
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.console import Console, RenderableType
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
+from rich.text import Text
+
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
     from dslab.sim.sequence import SegmentTruth
@@ -20,45 +30,40 @@ if TYPE_CHECKING:
 _PLAIN: Any = {"markup": False, "emoji": False, "highlight": False}
 out = Console(**_PLAIN)
 err = Console(stderr=True, **_PLAIN)
+_MOST_SEED = 2**63 - 1  # larger ones could not be read back from the files that name them
+_OF_FIGURES = "-.0123456789"
 
 
-MOST_SEED = 2**63 - 1
-"""Largest root seed: larger ones could not be read back from the files that name them."""
+FormName = Literal["tum", "kitti", "euroc", "vslam-lab"]
+"""Writable forms of sequence folders."""
+ModeName = Literal["lockstep", "threaded"]
+SystemName = Literal["base", "dual", "dual+", "paper", "paper+", "dso", "ldso"]
 
 
-class FormatChoice(StrEnum):
-    """Writable forms of sequence folders."""
-
-    TUM = "tum"
-    KITTI = "kitti"
-    EUROC = "euroc"
-    VSLAM_LAB = "vslam-lab"
+def _check_seed(seed: int | None) -> int | None:
+    if seed is not None and seed > _MOST_SEED:
+        raise typer.BadParameter("is more than 2^63 - 1")
+    return seed
 
 
-class ModeChoice(StrEnum):
-    """Scheduling of tracking, mapping and loop closing."""
-
-    LOCKSTEP = "lockstep"
-    THREADED = "threaded"
-
-
+SeedOption = Annotated[
+    int | None,
+    typer.Option(
+        "--seed",
+        min=0,
+        callback=_check_seed,
+        metavar="N",
+        help="Root seed of scenario and system; default: the scenario's own, or 0.",
+        show_default=False,
+    ),
+]
 ModeOption = Annotated[
-    ModeChoice,
+    ModeName,
     typer.Option(
         "--mode",
         help="lockstep: the same seed gives the same bits; threaded: mapping and loop closing run in "
         "parallel with tracking.",
     ),
-]
-RealTimeOption = Annotated[
-    bool,
-    typer.Option(
-        "--real-time", help="Feed frames at the rate of their stamps; late ones are dropped and counted."
-    ),
-]
-RendererOption = Annotated[
-    str | None,
-    typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender."),
 ]
 SystemsOption = Annotated[
     list[Path] | None,
@@ -79,25 +84,29 @@ CameraOption = Annotated[
         show_default=False,
     ),
 ]
-FolderOption = Annotated[Path, typer.Option("--out", help="Output folder; absent or empty.")]
+RendererOption = Annotated[
+    str | None, typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender.")
+]
+FolderOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output folder; absent or empty.")]
+WorkersOption = Annotated[int, typer.Option("--workers", min=1, help="Processes.")]
+RealTimeOption = Annotated[
+    bool, typer.Option("--real-time", help="Feed frames at the rate of their stamps; late ones are dropped.")
+]
+NoRelocalizationOption = Annotated[
+    bool,
+    typer.Option(
+        "--no-relocalization", help="Do not relocalize in saved maps until a new map is initialized."
+    ),
+]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Begin even if the frames seem too many for the disk or the memory.")
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one line of JSON.")]
 
 
-def check_seed(seed: int | None) -> int | None:
-    """Callback of options for a root seed: refuses one that could not be read back."""
-    if seed is not None and seed > MOST_SEED:
-        raise typer.BadParameter("is more than 2^63 - 1")
-    return seed
-
-
-def check_real_time(real_time: bool, mode: ModeChoice) -> None:
+def check_real_time(real_time: bool, mode: ModeName) -> None:
     """Raise InputError for --real-time outside threaded mode."""
-    from dslab.scenarios.errors import InputError
-
-    if real_time and mode is not ModeChoice.THREADED:
+    if real_time and mode != "threaded":
         raise InputError("--real-time", f"the mode is {mode}", "add --mode threaded")
 
 
@@ -108,26 +117,37 @@ def single_threaded_opencv() -> None:
     cv2.setNumThreads(1)
 
 
+class _Bars(Progress):
+    """Bars with a line below them."""
+
+    note = ""
+
+    def get_renderables(self) -> Iterable[RenderableType]:
+        yield from super().get_renderables()
+        if self.note:
+            yield Text(self.note)
+
+
 @contextmanager
-def progress_bars(kernels: bool = True) -> Iterator[Callable[[str, int, int], None]]:
-    """Show progress on stderr, one bar per step; yields a callback of (step, done, total).
+def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
+    """Show progress on stderr, one bar per step; yields a callback of (step, done, total, note below).
 
     Args:
         kernels: compile those that are not there yet, as a first step; False for what runs no SLAM.
     """
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=err, transient=True, disable=not err.is_terminal) as progress:
-        tasks: dict[str, int] = {}
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(30), MofNCompleteColumn())
+    times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
+    with _Bars(
+        *columns, *times, console=err, transient=True, disable=not err.is_terminal,
+        speed_estimate_period=math.inf,
+    ) as bars:  # fmt: skip
+        tasks: dict[str, Any] = {}
 
-        def show(step: str, done: int, total: int) -> None:
+        def show(step: str, done: int, total: int, note: str = "") -> None:
+            bars.note = note
             if step not in tasks:
-                tasks[step] = progress.add_task(step, total=total)
-            progress.update(tasks[step], completed=done, total=total)
+                tasks[step] = bars.add_task(step)
+            bars.update(tasks[step], completed=done, total=total)
 
         if kernels:
             from dslab.experiments.kernels import compile_kernels
@@ -136,22 +156,35 @@ def progress_bars(kernels: bool = True) -> Iterator[Callable[[str, int, int], No
         yield show
 
 
-def parse_seeds(text: str) -> list[int]:
-    """Parse one seed or a range of seeds, such as 7 or 1-10. Raises InputError."""
-    from dslab.scenarios.errors import InputError
+def table_of(rows: Iterable[Mapping[str, object]], title: str = "") -> Table:
+    """A table with a column per key of its rows; None is a dash, an empty row a line of separation.
 
-    first, _, last = text.partition("-")
-    if not first.isdecimal() or ("-" in text and not last.isdecimal()) or int(last or first) < int(first):
-        raise InputError(f"--seeds {text}", "is no seed or range of seeds", "write it as 7 or 1-10")
-    return list(range(int(first), int(last or first) + 1))
+    Columns of figures stand right. Words too long for a narrow terminal are folded, never cut.
+    """
+    cells = [{name: "-" if value is None else str(value) for name, value in row.items()} for row in rows]
+    table = Table(title=Text(title) if title else None, box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.show_edge, table.title_justify = False, "left"
+    columns = dict.fromkeys(name for row in cells for name in row)
+    for name in columns:
+        of_figures = all(row.get(name, "-")[:1] in _OF_FIGURES for row in cells)
+        right = of_figures and name != next(iter(columns))
+        table.add_column(name, justify="right" if right else "left", overflow="fold")
+    for row in cells:
+        if row:
+            table.add_row(*(row.get(name, "") for name in columns))
+        else:
+            table.add_section()
+    return table
 
 
-def print_table(table: Table) -> None:
-    """Print a table without frame; words too long for a narrow terminal are folded, never cut."""
-    table.box, table.show_edge, table.pad_edge, table.title_justify = box.SIMPLE_HEAD, False, False, "left"
-    for column in table.columns:
-        column.overflow = "fold"
-    out.print(table)
+def print_rows(rows: Iterable[Mapping[str, object]], title: str = "") -> None:
+    """Print the table of :func:`table_of`."""
+    out.print(table_of(rows, title))
+
+
+def say(line: str) -> None:
+    """Print one unwrapped line: names of folders can be copied from it."""
+    out.print(line, soft_wrap=True)
 
 
 def print_error_line(line: str) -> None:
@@ -159,11 +192,11 @@ def print_error_line(line: str) -> None:
     err.print(line.replace("\n", " "), soft_wrap=True)
 
 
-def print_facts(facts: Mapping[str, str]) -> None:
-    """Print a line per fact, never cut: names of folders can be copied from it."""
+def print_facts(facts: Mapping[str, object]) -> None:
+    """Print a line per fact, never cut."""
     longest = max(map(len, facts))
     for name, value in facts.items():
-        out.print(f"{name:{longest}s}  {value}", soft_wrap=True)
+        say(f"{name:{longest}s}  {value}")
 
 
 def print_segments(segments: "Iterable[SegmentTruth]") -> None:
@@ -173,16 +206,21 @@ def print_segments(segments: "Iterable[SegmentTruth]") -> None:
         out.print(f"  {segment.kind}: {span if segment.first_frame >= 0 else 'acts on no frame'}")
 
 
-def print_json_line(value: dict) -> None:
+def print_json_line(value: Any) -> None:
     """Print one unwrapped line of JSON on stdout."""
-    print(json.dumps(value, allow_nan=False))
+    from dslab.experiments.runs.files import to_json
+
+    print(to_json(value))
+
+
+def print_schema(schema: dict[str, Any]) -> None:
+    """Print a JSON Schema."""
+    print(json.dumps(schema, indent=2))
 
 
 def number(value: float | None, digits: int = 3, unit: str = "") -> str:
     """Figure for a table; a dash for None."""
-    if value is None:
-        return "-"
-    return f"{value:.{digits}f}{unit}"
+    return "-" if value is None else f"{value:.{digits}f}{unit}"
 
 
 def share(value: float | None) -> str:

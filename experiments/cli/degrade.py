@@ -9,13 +9,15 @@ from dslab.experiments.cli.console import (
     CameraOption,
     FolderOption,
     ForceOption,
-    FormatChoice,
-    check_seed,
+    FormName,
+    SeedOption,
     out,
     print_segments,
     progress_bars,
+    say,
     single_threaded_opencv,
 )
+from dslab.scenarios.errors import InputError
 
 
 def _print_kinds(requested: bool) -> None:
@@ -46,16 +48,14 @@ def degrade_command(
         ),
     ] = False,
     form: Annotated[
-        FormatChoice | None,
+        FormName | None,
         typer.Option(
             "--format",
             help="Form to write; default: that of the folder, TUM where that is only read.",
             show_default=False,
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(min=0, callback=check_seed, help="Root seed of random effects in the segments.")
-    ] = 0,
+    seed: SeedOption = None,
     camera: CameraOption = None,
     force: ForceOption = False,
 ) -> None:
@@ -87,7 +87,6 @@ def degrade_command(
     `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
     from dslab.experiments.runs.sources import open_imu
-    from dslab.scenarios.errors import InputError
     from dslab.scenarios.segment_text import parse_segment
     from dslab.sim.degradations.recorded_kinds import check_recorded_sequence
     from dslab.sim.degradations.recorded_sequences import degrade_sequence
@@ -108,7 +107,7 @@ def degrade_command(
         sequence = load_sequence(source, camera, show, force)
     check_recorded_sequence(sequence, segments)
     found = Form.TUM if camera is not None else detect_form(sequence_folder(source))
-    target = Form(form.value) if form else Form.TUM if found in READ_ONLY else found
+    target = Form(form) if form else Form.TUM if found in READ_ONLY else found
     readings = open_imu(str(source), sequence.stamps_s) if found is target is Form.EUROC else None
     if readings and any(segment.kind == "fast_rotation" for segment in segments):
         problem = "fast_rotation turns the images, not the inertial readings of the folder"
@@ -121,11 +120,8 @@ def degrade_command(
     single_threaded_opencv()
     # Beside the result: the temporary disk may be too small.
     with scratch_beside(out_dir) as scratch, progress_bars(kernels=False) as show:
-        degraded = degrade_sequence(sequence, segments, seed, scratch, show)
+        degraded = degrade_sequence(sequence, segments, seed or 0, scratch, show)
         with_depth = target in WITH_DEPTH and degraded.depths is not None
         write_sequence(degraded, out_dir, target, readings, with_depth, show)
     print_segments(degraded.segments)
-    out.print(
-        f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""),
-        soft_wrap=True,
-    )
+    say(f"{out_dir}: {len(degraded)} frames in {target} form" + (", with imu0" if readings else ""))

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich import box
-from rich.table import Table
 
 from dslab.experiments.cli.console import (
-    MOST_SEED,
     ForceOption,
     out,
+    print_facts,
+    print_rows,
     progress_bars,
     share,
     single_threaded_opencv,
@@ -22,11 +21,10 @@ if TYPE_CHECKING:
     from dslab.experiments.statistics.judged import JudgedCell
 
 SCENARIO, SEED = "stressed", 4
-"""Default of the demonstration: of the seeds 0 to 4 the one in which the base stays lost and a recovery
-brings Dual-SLAM back; what the others show stands in docs/first-steps.md."""
+"""Of the seeds 0 to 4 the one in which the base stays lost and a recovery brings Dual-SLAM back; what the
+others show stands in docs/first-steps.md."""
 EXPERIMENT = "demo"
 """Preset whose units it runs."""
-_WORKERS = 2
 
 
 def demo_command(
@@ -34,18 +32,6 @@ def demo_command(
         Path,
         typer.Option("--out", metavar="DIR", help="Result folder; an earlier demonstration is replaced."),
     ] = Path("out/demo"),
-    scenario: Annotated[
-        str, typer.Option(metavar="NAME", help="Scenario of the first part: a name or a YAML file.")
-    ] = SCENARIO,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            max=MOST_SEED,
-            metavar="N",
-            help="Its root seed; by default 4 for stressed, else that of the scenario.",
-        ),
-    ] = None,
     no_units: Annotated[bool, typer.Option("--no-units", help="Leave out the second part.")] = False,
     force: ForceOption = False,
 ) -> None:
@@ -61,8 +47,6 @@ def demo_command(
     For example:
 
     `dslab demo --out out/demo`
-
-    `dslab demo --scenario breakage --no-units`
     """
     from dslab.experiments.cli.run_tables import print_runs
     from dslab.experiments.demo import EXPERIMENT_DIR, MARKER_FILE, run_demo
@@ -74,29 +58,26 @@ def demo_command(
 
     check_free(out_dir, MARKER_FILE)
     single_threaded_opencv()
-    spec = load_scenario(scenario, SEED if seed is None and scenario == SCENARIO else seed)
     experiment = None if no_units else load_spec(EXPERIMENT)
     with progress_bars() as show:
-        sequence = render_sequence(spec, progress=show, force=force)
-        summaries, cells = run_demo(sequence, spec.seed, out_dir, experiment, _WORKERS, show)
+        sequence = render_sequence(load_scenario(SCENARIO, SEED), progress=show, force=force)
+        summaries, cells = run_demo(sequence, SEED, out_dir, experiment, progress=show)
     print_runs(summaries)
     for name in dict.fromkeys(cell.cell for cell in cells):
         assert experiment is not None
-        out.print(units_table([cell for cell in cells if cell.cell == name], experiment))
-    files = {
-        "picture": f"{out_dir / PICTURE_FILE}",
-        "recording": f"{out_dir / RECORDING_FILE}  (open it: dslab view {out_dir})",
-        **{kind: f"{out_dir / kind}" for kind in summaries},
-    }
-    if cells:
-        files["units"] = (
-            f"{out_dir / EXPERIMENT_DIR}  (all: dslab experiment report {out_dir / EXPERIMENT_DIR})"
-        )
-    for name, place in files.items():
-        out.print(f"{name:10s} {place}", soft_wrap=True)
+        _print_units([cell for cell in cells if cell.cell == name], experiment)
+    units = out_dir / EXPERIMENT_DIR
+    print_facts(
+        {
+            "picture": out_dir / PICTURE_FILE,
+            "recording": f"{out_dir / RECORDING_FILE}  (open it: dslab view {out_dir})",
+            **{kind: out_dir / kind for kind in summaries},
+            **({"units": f"{units}  (all: dslab experiment report {units})"} if cells else {}),
+        }
+    )
 
 
-def units_table(levels: Sequence["JudgedCell"], experiment: "ExperimentSpec") -> Table:
+def _print_units(levels: Sequence["JudgedCell"], experiment: "ExperimentSpec") -> None:
     """Predicted and measured shares of dual failures in one cell, a row for each number of threads."""
     from dslab.scenarios.describe import describe_field, describe_kind
 
@@ -105,25 +86,23 @@ def units_table(levels: Sequence["JudgedCell"], experiment: "ExperimentSpec") ->
     assert of_cell.degradation is not None and of_cell.dose is not None
     degradation = experiment.degradations[of_cell.degradation]
     dose = describe_field(degradation.dose, degradation.doses_of(of_cell.base)[of_cell.dose])
-    table = Table(
-        title=f"Eq. 1 in {cell.units} units of {describe_kind(cell.kind)}, {dose}",
-        box=box.SIMPLE,
-        show_edge=False,
-        padding=(0, 2, 0, 0),
-        caption_justify="left",
+    print_rows(
+        (
+            {
+                "n": level.n,
+                "recovery threads": ", ".join(kinds[: level.n]),
+                "predicted": share(level.eq1),
+                "measured": share(level.measured.value),
+                "95 % interval": f"{100 * level.measured.low:.0f} to {100 * level.measured.high:.0f} %",
+            }
+            for level in levels
+        ),
+        f"Eq. 1 in {cell.units} units of {describe_kind(cell.kind)}, {dose}",
     )
-    for column in ("n", "recovery threads", "predicted", "measured", "95 % interval"):
-        table.add_column(column, overflow="fold")
-    for level in levels:
-        measured = level.measured
-        ends = f"{100 * measured.low:.0f} to {100 * measured.high:.0f} %"
-        threads = ", ".join(kinds[: level.n])
-        table.add_row(str(level.n), threads, share(level.eq1), share(measured.value), ends)
     broke, *failed = levels[-1].worlds_with
     threads = ", ".join(f"thread {j} failed in {count}" for j, count in enumerate(failed, 1))
-    table.caption = (
+    out.print(
         "Share of units in which the base broke and all n recovery threads failed. Eq. 1 predicts it as if "
         f"these were independent, p0 · pr1 … prn: of {cell.worlds} worlds the base broke in {broke}; made to "
         f"cross the same images in every unit, {threads}. No verdict: too few worlds to decide."
     )
-    return table

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
-from dslab.experiments.cli.console import JsonOption, number, out, print_json_line, print_table
+from dslab.experiments.cli.console import JsonOption, number, print_json_line, print_rows, say
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
     from dslab.experiments.evaluation.evo_result import EvoResult
@@ -40,36 +40,35 @@ def evo_command(
     from dslab.experiments.comparison.left_runs import find_runs
     from dslab.experiments.evaluation.alignment import Undefined
     from dslab.experiments.evaluation.evo_result import ate_result, read_evo_result, write_evo_result
-    from dslab.scenarios.errors import InputError
-    from dslab.sim.io.folders import check_free, new_directory
+    from dslab.sim.io.folders import new_directory
 
     zips = [source for source in sources if source.suffix.lower() == _ZIP]
     folders = [source for source in sources if source not in zips]
-    if out_dir is not None:
-        if not folders:
-            raise InputError("--out", "results of evo are there already", "leave it out, or name a folder")
-        check_free(out_dir)
+    if out_dir is not None and not folders:
+        raise InputError("--out", "results of evo are there already", "leave it out, or name a folder")
     runs = find_runs(folders) if folders else []
-    places = [*(run.folder for run in runs), *(path.with_suffix("") for path in zips)]
-    names = _names(places)
+    names = _names([*(run.folder for run in runs), *(path.with_suffix("") for path in zips)])
     own: dict[str, EvoResult] = {}
     for name, run in zip(names, runs, strict=False):
         result = ate_result(run.pairs, run.stamps_s[run.pairs.frames], name, run.sequence)
         if isinstance(result, Undefined):
             raise InputError(str(run.folder), f"has no ATE: {result.reason}", "leave it out")
         own[name] = result
-    theirs = {name: read_evo_result(path) for name, path in zip(names[len(runs) :], zips, strict=True)}
+    results = own | {name: read_evo_result(path) for name, path in zip(names[len(runs) :], zips, strict=True)}
     if out_dir is not None:
         with new_directory(out_dir) as folder:
             for name, result in own.items():
                 write_evo_result(folder / f"{name}{_ZIP}", result)
-    results = own | theirs
     if as_json:
         print_json_line({name: {**r.stats, "poses": len(r.errors)} for name, r in results.items()})
         return
-    print_table(_table(results))
+    print_rows(
+        {"result": name, "error": r.info.get("label", ""), "poses": len(r.errors)}
+        | {figure: number(r.stats[figure], 4) for figure in _SHOWN}
+        for name, r in results.items()
+    )
     if out_dir is not None:
-        out.print(f"evo_res {out_dir}/*{_ZIP}", soft_wrap=True)
+        say(f"evo_res {out_dir}/*{_ZIP}")
 
 
 def _names(places: list[Path]) -> list[str]:
@@ -78,8 +77,6 @@ def _names(places: list[Path]) -> list[str]:
     Raises:
         InputError: two are the same.
     """
-    from dslab.scenarios.errors import InputError
-
     whole = [place.resolve().parts[1:] for place in places]
     for count in range(1, max(map(len, whole)) + 1):
         names = ["-".join(parts[-count:]) for parts in whole]
@@ -87,14 +84,3 @@ def _names(places: list[Path]) -> list[str]:
             return names
     double = next(place for place in places if whole.count(place.resolve().parts[1:]) > 1)
     raise InputError(str(double), "is given twice", "name it once")
-
-
-def _table(results: "dict[str, EvoResult]") -> Table:
-    table = Table()
-    table.add_column("result")
-    for name in ("error", "poses", *_SHOWN):
-        table.add_column(name, justify="right")
-    for name, result in results.items():
-        figures = (number(result.stats[figure], 4) for figure in _SHOWN)
-        table.add_row(name, str(result.info.get("label", "")), str(len(result.errors)), *figures)
-    return table

@@ -1,7 +1,7 @@
 """``dslab experiment``."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -9,18 +9,32 @@ from dslab.experiments.cli.boundary import boundary_command
 from dslab.experiments.cli.console import (
     JsonOption,
     SystemsOption,
-    err,
+    WorkersOption,
     number,
     out,
+    print_error_line,
     print_json_line,
-    print_table,
+    print_rows,
+    print_schema,
     progress_bars,
+    say,
 )
-from dslab.experiments.cli.experiment_progress import estimates_text, experiment_progress
-from dslab.experiments.cli.experiment_tables import print_answer, print_replay, status_table
-from dslab.experiments.cli.exposure import tell_idle_cells
 from dslab.experiments.cli.fuzz import fuzz_command
-from dslab.experiments.cli.merge import merge_command
+from dslab.experiments.cli.units import (
+    MEMORY_MB,
+    TIMEOUT_S,
+    CoresOption,
+    MemoryOption,
+    RerunDamagedOption,
+    RetryErrorsOption,
+    TimeoutOption,
+    estimates_text,
+    unit_progress,
+)
+from dslab.scenarios.errors import InputError
+
+if TYPE_CHECKING:
+    from dslab.experiments.eq1.spec import ExperimentSpec
 
 _HELP = """Run many units with base and Dual-SLAM: run, resume, status, replay, report.
 
@@ -33,22 +47,40 @@ The folder of an experiment holds its spec, a ledger with one row per unit, and 
 app = typer.Typer(help=_HELP, no_args_is_help=True)
 app.command("boundary")(boundary_command)
 app.command("fuzz")(fuzz_command)
-app.command("merge")(merge_command)
 
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an experiment.")]
-TimeoutOption = Annotated[float, typer.Option(min=1, help="Time limit of a unit in seconds.")]
-MemoryOption = Annotated[
-    int,
-    typer.Option(min=0, metavar="MB", help="Memory limit of a worker; a unit above it is retried; 0: none."),
-]
-_TIMEOUT_S, _MEMORY_MB = 1800.0, 4000  # as of experiments.campaign.workers, which is slow to import
+
+
+@app.command("merge")
+def merge_command(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR...", help="Folders of one experiment, or of its exported table."),
+    ],
+    out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder that gets their units.")],
+) -> None:
+    """Add the units of other folders to the ledger of a folder, which a run goes on from.
+
+    For an experiment that several machines run, one from the first world on and one from the last
+    (`--last-first`), or of which only the exported table is left. A unit that two of them hold must have the
+    same outcome in both. For example:
+
+    `dslab experiment merge out/theirs --out out/mine`
+
+    `dslab experiment merge docs/eq1 --out out/eq1`
+    """
+    from dslab.experiments.campaign.merge import merge
+
+    done = merge(out_dir, sources)
+    known = f", {done.known} were known with the same outcome" if done.known else ""
+    say(f"{done.added} units added{known}: {done.done} of {done.total} in {out_dir}")
 
 
 @app.command("run")
 def run_command(
     experiment: Annotated[str, typer.Argument(metavar="NAME|SPEC.yaml", help="A preset or a spec file.")],
     out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder of the experiment.")],
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
+    workers: CoresOption = None,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="URL", help="Dask scheduler to use instead of processes of this machine."),
@@ -64,16 +96,10 @@ def run_command(
         ),
     ] = False,
     systems_dir: SystemsOption = None,
-    timeout: TimeoutOption = _TIMEOUT_S,
-    memory: MemoryOption = _MEMORY_MB,
-    retry_errors: Annotated[
-        bool,
-        typer.Option("--retry-errors", help="Retry units that were given up for infrastructure errors."),
-    ] = False,
-    rerun_damaged: Annotated[
-        bool,
-        typer.Option("--rerun-damaged", help="Drop damaged rows of the ledger and run their units again."),
-    ] = False,
+    timeout: TimeoutOption = TIMEOUT_S,
+    memory: MemoryOption = MEMORY_MB,
+    retry_errors: RetryErrorsOption = False,
+    rerun_damaged: RerunDamagedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run or resume an experiment; units that the folder already holds are not run again.
@@ -105,39 +131,41 @@ def run_command(
     if worlds is not None:
         spec = spec.model_copy(update={"worlds": worlds})
     units = unit_workers(spec, systems_dir or (), workers, scheduler, timeout, memory)
-    tell_idle_cells(spec, out_dir)
-    try:
-        with experiment_progress(spec.name) as show:
-            tally = run_experiment(
-                spec,
-                out_dir,
-                units.open,
-                retry_errors,
-                rerun_damaged,
-                show,
-                order=partial(Schedule, last_first=last_first),
-                digests=units.digests,
-            )
-    except KeyboardInterrupt:
-        err.print(f"{out_dir} keeps the finished units: run the same command again to resume", soft_wrap=True)
-        raise
+    _tell_idle_cells(spec, out_dir)
+    order = partial(Schedule, last_first=last_first)
+    with unit_progress(spec.name, out_dir) as show:
+        tally = run_experiment(
+            spec, out_dir, units.open, retry_errors, rerun_damaged, show, order, units.digests
+        )
     if as_json:
         status_command(out_dir, as_json=True)
         return
-    out.print(f"{tally.done} of {tally.total} units: {estimates_text(tally)}")
+    say(f"{tally.done} of {tally.total} units: {estimates_text(tally)}")
     if tally.retries:
-        out.print(
-            f"{tally.retries} attempts ended in infrastructure errors: see dslab experiment status {out_dir}",
-            soft_wrap=True,
-        )
-    out.print(f"next: dslab experiment report {out_dir}", soft_wrap=True)
+        say(f"{tally.retries} attempts ended in infrastructure errors: see dslab experiment status {out_dir}")
+    say(f"next: dslab experiment report {out_dir}")
     if tally.errors:
-        out.print(
+        say(
             f"{tally.errors} of {tally.done} units were given up, most for: {tally.cause}; "
-            "mend it and run the same command again with --retry-errors",
-            markup=False,
-            soft_wrap=True,
+            "mend it and run the same command again with --retry-errors"
         )
+
+
+def _tell_idle_cells(spec: "ExperimentSpec", folder: Path) -> None:
+    """Draw some worlds of an experiment that has not begun, and name the cells whose stress seldom acts."""
+    from dslab.experiments.campaign.exposure import draw_exposure
+    from dslab.experiments.jobs.ledger import LEDGER_FILE
+
+    if (folder / LEDGER_FILE).exists():
+        return
+    with progress_bars(kernels=False) as progress:
+        drawn = draw_exposure(spec, progress)
+    for cell in drawn:
+        if not cell.is_exposed:
+            print_error_line(
+                f"{cell.cell}: the stress acts in {cell.acted} of {cell.drawn} sequences drawn, the others "
+                "would not count; give a stronger dose, or low_texture a view_share"
+            )
 
 
 @app.command("status")
@@ -151,31 +179,42 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     from dataclasses import asdict
 
     from dslab.experiments.campaign.status import experiment_status
-    from dslab.experiments.runs.files import plain
 
     status = experiment_status(folder)
     if as_json:
-        print_json_line(plain(asdict(status)))
+        print_json_line(asdict(status))
         return
-    print_table(status_table(status))
-    out.print(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of worker time")
+    print_rows(
+        (
+            {
+                "cell": cell.cell,
+                "units": f"{cell.units} / {cell.budget}",
+                "count": cell.completed,
+                "no\nstress": cell.unexposed,
+                "void": cell.void,
+                "errors": cell.errors,
+                "break": cell.breakages,
+                "all\nfail": cell.failures,
+            }
+            for cell in status.cells
+        ),
+        f"{status.name} ({status.spec_hash[:12]})",
+    )
+    say(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of worker time")
     if status.failed_attempts:
-        out.print(f"{status.failed_attempts} attempts ended in infrastructure errors")
+        say(f"{status.failed_attempts} attempts ended in infrastructure errors")
     for unit_id, message in status.given_up:
-        out.print(f"given up: {unit_id}: {message}")
+        say(f"given up: {unit_id}: {message}")
     if len(status.codes) > 1:
-        out.print(f"units were run with {len(status.codes)} versions of the code: {', '.join(status.codes)}")
+        say(f"units were run with {len(status.codes)} versions of the code: {', '.join(status.codes)}")
 
 
 @app.command("power")
 def power_command(
     p0: Annotated[float, typer.Option(help="Assumed share of units with a breakage.")],
     pr: Annotated[
-        list[float], typer.Option(help="Assumed failure rate of a recovery thread; repeat for each of n.")
+        list[float], typer.Option(help="Assumed failure rate of a recovery thread; repeat for each thread.")
     ],
-    n: Annotated[
-        int | None, typer.Option(min=1, max=6, help="Number of threads, if one pr is given for all.")
-    ] = None,
     ratio: Annotated[float, typer.Option(help="Ratio of measured to predicted failures to detect.")] = 2.0,
     worlds: Annotated[
         int | None, typer.Option(min=3, max=2000, help="Worlds; default: as many as the power takes.")
@@ -191,46 +230,39 @@ def power_command(
 
     For example:
 
-    `dslab experiment power --p0 0.25 --pr 0.2 --n 2 --ratio 2 --power 0.8`
+    `dslab experiment power --p0 0.25 --pr 0.2 --pr 0.2 --ratio 2 --power 0.8`
 
     `dslab experiment power --p0 0.5 --pr 0.5 --ratio 1.29 --worlds 100 --tests 9`
     """
     from dataclasses import asdict
 
     from dslab.experiments.statistics.power import MOST_WORLDS, Design, power_of, worlds_needed
-    from dslab.scenarios.errors import InputError
 
-    if n is not None and len(pr) not in (1, n):
-        raise InputError(
-            "--n", f"is {n}, but {len(pr)} values of --pr are given", "give one --pr, or n of them"
-        )
-    each = tuple(pr * n) if n is not None and len(pr) == 1 else tuple(pr)
     design = Design(worlds or MOST_WORLDS, sequences, replicates, icc, tests)
     try:
         if worlds is None:
-            found = worlds_needed(p0, each, ratio, power, design)
+            found = worlds_needed(p0, tuple(pr), ratio, power, design)
         else:
-            found = power_of(p0, each, ratio, design)
+            found = power_of(p0, tuple(pr), ratio, design)
     except ValueError as error:
         raise InputError("dslab experiment power", str(error), "give other assumptions") from None
     if as_json:
         print_json_line({} if found is None else asdict(found))
-        return
-    if found is None:
-        out.print(f"more than {MOST_WORLDS} worlds would be needed")
-        return
-    out.print(f"predicted {found.predicted:.4g}; {ratio:g} times as high: {found.measured:.4g}")
-    out.print(
-        f"{found.design.worlds} worlds: power {found.independence:.2f} of the test of independence, "
-        f"{found.forecast:.2f} of the forecast (standard error {found.error:.2f})"
-    )
+    elif found is None:
+        say(f"more than {MOST_WORLDS} worlds would be needed")
+    else:
+        say(f"predicted {found.predicted:.4g}; {ratio:g} times as high: {found.measured:.4g}")
+        say(
+            f"{found.design.worlds} worlds: power {found.independence:.2f} of the test of independence, "
+            f"{found.forecast:.2f} of the forecast (standard error {found.error:.2f})"
+        )
 
 
 @app.command("prove")
 def prove_command(
     experiments: Annotated[int, typer.Option(min=20, help="Simulated experiments per claim.")] = 2000,
     only: Annotated[str, typer.Option(metavar="TEXT", help="Only claims with this in their name.")] = "",
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    workers: WorkersOption = 1,
     seed: Annotated[int, typer.Option(min=0, help="Root seed of the draws.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
@@ -245,10 +277,7 @@ def prove_command(
     """
     from dataclasses import asdict
 
-    from rich.table import Table
-
     from dslab.experiments.statistics.proofs import claims, prove
-    from dslab.scenarios.errors import InputError
 
     total = sum(only in claim.name for claim in claims())
     if total == 0:
@@ -263,12 +292,16 @@ def prove_command(
         for proof in proofs:
             print_json_line({**asdict(proof), "holds": proof.holds()})
     else:
-        table = Table("claim", "asked", "found", "error", "holds")
-        for proof in proofs:
-            asked = f"{number(proof.low)} to {number(proof.high)}"
-            figures = (asked, number(proof.found), number(proof.error))
-            table.add_row(proof.name, *figures, "yes" if proof.holds() else "no")
-        print_table(table)
+        print_rows(
+            {
+                "claim": proof.name,
+                "asked": f"{number(proof.low)} to {number(proof.high)}",
+                "found": number(proof.found),
+                "error": number(proof.error),
+                "holds": "yes" if proof.holds() else "no",
+            }
+            for proof in proofs
+        )
     if not all(proof.holds() for proof in proofs):
         raise typer.Exit(1)
 
@@ -281,8 +314,8 @@ def replay_command(
         Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for `dslab view`.")
     ] = None,
     systems_dir: SystemsOption = None,
-    timeout: TimeoutOption = _TIMEOUT_S,
-    memory: MemoryOption = _MEMORY_MB,
+    timeout: TimeoutOption = TIMEOUT_S,
+    memory: MemoryOption = MEMORY_MB,
     as_json: JsonOption = False,
 ) -> None:
     """Replay one unit and compare it with the ledger or the published table; exit code 1 if they differ.
@@ -296,7 +329,6 @@ def replay_command(
     from dslab.experiments.campaign.replay import replay
     from dslab.experiments.campaign.workers import UnitWorkers
     from dslab.experiments.jobs.pool import PoolSettings
-    from dslab.experiments.runs.files import plain
 
     folders = tuple(folder.absolute() for folder in systems_dir or ())
     workers = UnitWorkers(PoolSettings(1, None, timeout, memory or None), folders)
@@ -304,13 +336,20 @@ def replay_command(
         show(f"unit {unit}", 0, 1)
         done = replay(folder, unit, workers, None if rerun is None else rerun.absolute())
     if done.origin:
-        err.print(done.origin, markup=False, soft_wrap=True)
+        print_error_line(done.origin)
+    record, of = done.record, done.unit
     if as_json:
-        print_json_line(
-            plain({"record": done.record, "recorded": done.recorded, "differing": done.differing})
-        )
+        print_json_line({"record": record, "recorded": done.recorded, "differing": done.differing})
     else:
-        print_replay(done, rerun)
+        say(f"unit {of.unit_id} ({of.cell}:{of.index}): {record['outcome']} {record['message']}")
+        if done.recorded is None:
+            say("not yet in the ledger")
+        elif not done.differing:
+            say("agrees with the ledger in every column except time and memory")
+        for name in done.differing:
+            say(f"{name}: {record[name]!r}, in the ledger {(done.recorded or {})[name]!r}")
+        if rerun is not None and rerun.is_file():
+            say(f"open it: dslab view {rerun}")
     if done.differing:
         raise typer.Exit(1)
 
@@ -328,7 +367,7 @@ def export_command(
     """
     from dslab.experiments.campaign.folder import export
 
-    out.print(f"one row per unit in {export(folder, csv)}", soft_wrap=True)
+    say(f"one row per unit in {export(folder, csv)}")
 
 
 @app.command("report")
@@ -350,8 +389,30 @@ def report_command(
     with progress_bars() as show:
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
     if answer := read_json(folder / FIGURES, dict).get("answer"):
-        print_answer(answer)
-    out.print(f"report in {path}", soft_wrap=True)
+        _print_answer(answer)
+    say(f"report in {path}")
+
+
+def _print_answer(answer: dict[str, Any]) -> None:
+    """Print verdict, paragraph, and predicted and measured shares of a report."""
+    from dslab.experiments.report.describe import ends_percent, percent
+
+    out.print(answer["headline"])
+    out.print(" ".join(answer["sentences"]))
+    rows = (
+        {
+            "kind of world": row["world"],
+            "worlds": row["worlds"],
+            "n": row["n"],
+            "Eq. 1": percent(row["eq1"]),
+            "weakest link": percent(row["weakest"]),
+            "measured": percent(row["measured"]["value"]) if row["measured"] else None,
+            "95 %, by worlds": ends_percent(row["measured"]) if row["measured"] else None,
+        }
+        for row in answer["rows"]
+    )
+    if answer["rows"]:
+        print_rows(rows)
 
 
 @app.command("schema")
@@ -362,8 +423,6 @@ def schema_command() -> None:
 
     `dslab experiment schema > experiment.schema.json`
     """
-    import json
-
     from dslab.experiments.eq1.spec_schema import json_schema
 
-    print(json.dumps(json_schema(), indent=2))
+    print_schema(json_schema())

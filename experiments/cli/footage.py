@@ -1,18 +1,18 @@
 """``dslab footage``."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from dslab.experiments.cli.console import (
     FolderOption,
     JsonOption,
-    check_seed,
-    out,
+    SeedOption,
+    number,
     print_json_line,
-    print_table,
+    print_rows,
     progress_bars,
+    say,
     single_threaded_opencv,
 )
 
@@ -26,10 +26,7 @@ def footage_command(
         ),
     ],
     out_dir: FolderOption,
-    seed: Annotated[
-        int | None,
-        typer.Option(min=0, callback=check_seed, metavar="N", help="Root seed of scenarios and system."),
-    ] = None,
+    seed: SeedOption = None,
     frames: Annotated[
         int | None, typer.Option(min=10, metavar="N", help="Only the first N frames of each sequence.")
     ] = None,
@@ -37,12 +34,13 @@ def footage_command(
 ) -> None:
     """Compare sequences in what the tracker meets: matches, residuals, tracks, images.
 
-    Runs the base over each and writes index.html with the distributions, and footage.json. It holds
-    statistics only, no frame. For example:
+    Runs the base over each; writes footage.png with the distributions, and footage.json. They hold statistics
+    only, no frame. For example:
 
     `dslab footage path/to/drive real/drive kitti-like/03 --out out/drives`
     """
-    from dslab.experiments.realism.compare import PAGE_FILE, compare_footage
+    from dslab.experiments.realism.compare import PICTURE_FILE, compare_footage
+    from dslab.experiments.realism.measures import MEASURES
 
     single_threaded_opencv()
     with progress_bars() as show:
@@ -50,22 +48,15 @@ def footage_command(
     if as_json:
         print_json_line(content)
         return
-    print_table(_table(content))
-    out.print(f"{out_dir / PAGE_FILE}: medians; in brackets distances of distributions", soft_wrap=True)
 
+    def cell(source: str, name: str) -> str | None:
+        found = content[source]["measures"][name]
+        if found["quantiles"] is None:
+            return None
+        apart = "" if source == sources[0] or found["distance"] is None else f" ({found['distance']:.2f})"
+        return f"{found['quantiles'][2]:.3g}{apart}"
 
-def _table(content: dict[str, Any]) -> Table:
-    table = Table()
-    for name in ("measure", *(sequence["name"] for sequence in content["sequences"])):
-        table.add_column(name)
-    for measure in content["measures"]:
-        cells = (_cell(sequence, place) for place, sequence in enumerate(measure["sequences"]))
-        table.add_row(measure["name"], *cells)
-    return table
-
-
-def _cell(sequence: dict[str, Any], place: int) -> str:
-    median, apart = sequence["quantiles"][2], sequence["distance"]
-    if median is None:
-        return "-"
-    return f"{median:.3g}" + (f" ({apart:.2f})" if place and apart is not None else "")
+    print_rows({"measure": name} | {s: cell(s, name) for s in sources} for name in MEASURES)
+    figures = [name for name, of in content[sources[0]]["figures"].items() if not isinstance(of, list)]
+    print_rows({"run": name} | {s: number(content[s]["figures"][name]) for s in sources} for name in figures)
+    say(f"{out_dir / PICTURE_FILE}: medians; in brackets distances of distributions")

@@ -1,19 +1,20 @@
 """``dslab experiment fuzz``."""
 
 from collections import Counter
-from typing import Annotated
+from collections.abc import Iterator
+from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
 from dslab.experiments.cli.console import (
     FolderOption,
-    ModeChoice,
     ModeOption,
-    out,
-    print_table,
+    WorkersOption,
+    print_rows,
     progress_bars,
+    say,
 )
+from dslab.scenarios.errors import InputError
 
 
 def fuzz_command(
@@ -21,8 +22,8 @@ def fuzz_command(
     units: Annotated[int, typer.Option(min=1, help="Number of scenarios, one seed each.")] = 20,
     start: Annotated[int, typer.Option(min=0, help="First seed.")] = 0,
     systems: Annotated[str, typer.Option("--system", help="Systems, separated by commas.")] = "base,dual",
-    mode: ModeOption = ModeChoice.LOCKSTEP,
-    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    mode: ModeOption = "lockstep",
+    workers: WorkersOption = 1,
     timeout_s: Annotated[float, typer.Option(min=1, help="Time limit of a run in seconds.")] = 600.0,
 ) -> None:
     """Run random scenarios and check that no run raises, hangs or leaves an inconsistent map.
@@ -32,68 +33,42 @@ def fuzz_command(
 
     `dslab experiment fuzz --units 20 --system base,dual --out out/fuzz`
     """
-    from dslab.experiments.fuzz.fuzzing import FuzzUnit, failed, run_fuzz
+    from dslab.experiments.fuzz.fuzzing import UNITS_FILE, FuzzUnit, failed, replay_command, run_fuzz
     from dslab.sim.io.folders import check_free
+    from dslab.slam.factory import SYSTEMS
 
     check_free(out_dir)
-    kinds = _kinds(systems)
-    chosen = [FuzzUnit(seed, kinds, mode.value) for seed in range(start, start + units)]
+    kinds: Any = tuple(systems.split(","))
+    if not set(kinds) <= set(SYSTEMS) or len(set(kinds)) < len(kinds):
+        remedy = f"use one or more of {','.join(SYSTEMS)}"
+        raise InputError("--system", f"{systems!r} is not a list of systems", remedy)
+    chosen = [FuzzUnit(seed, kinds, mode) for seed in range(start, start + units)]
     with progress_bars() as show:
         show("experiment fuzz", 0, units * len(kinds))
 
         def report(row: dict, done: int, total: int) -> None:
             show("experiment fuzz", done, total)
-            _print_failure(row)
+            for bad in failed([row]):
+                at = f" at {bad['stage']}" if bad["stage"] else ""
+                say(f"seed {bad['seed']}, {bad['system']}: {bad['outcome']}{at}: {bad['message']}")
+                say(bad["traceback"].rstrip())
+                say(f"again: {replay_command(bad)}")
 
         rows = run_fuzz(chosen, out_dir, workers, timeout_s, report)
-    print_table(_table(rows, kinds))
-    out.print(f"one row per run in {out_dir / 'units.jsonl'}", soft_wrap=True)
+    print_rows(_sums(rows, kinds), f"{len(rows)} runs")
+    say(f"one row per run in {out_dir / UNITS_FILE}")
     if failed(rows):
         raise typer.Exit(1)
 
 
-def _print_failure(row: dict) -> None:
-    """Print failure, traceback and repeat command of a failed run."""
-    from dslab.experiments.fuzz.fuzzing import failed, replay_command
-
-    for bad in failed([row]):
-        at = f" at {bad['stage']}" if bad["stage"] else ""
-        out.print(f"seed {bad['seed']}, {bad['system']}: {bad['outcome']}{at}: {bad['message']}")
-        out.print(bad["traceback"].rstrip(), soft_wrap=True)
-        out.print(f"again: {replay_command(bad)}", soft_wrap=True)
-
-
-def _kinds(text: str) -> tuple:
-    from typing import get_args
-
-    from dslab.experiments.runs.execution import SystemKind
-    from dslab.scenarios.errors import InputError
-
-    kinds = tuple(text.split(","))
-    known = get_args(SystemKind)
-    wrong = [kind for kind in kinds if kind not in known]
-    if wrong or len(set(kinds)) < len(kinds):
-        raise InputError(
-            "--system", f"{text!r} is not a list of systems", f"use one or more of {','.join(known)}"
-        )
-    return kinds
-
-
-def _table(rows: list[dict], kinds: tuple[str, ...]) -> Table:
-    table = Table(title=f"{len(rows)} runs")
-    table.add_column("sum over the runs")
-    for kind in kinds:
-        table.add_column(kind, justify="right")
+def _sums(rows: list[dict], kinds: tuple[str, ...]) -> Iterator[dict[str, Any]]:
     of = {kind: [row for row in rows if row["system"] == kind] for kind in kinds}
-    for outcome in sorted({row["outcome"] for row in rows} | {"ok"}, key=lambda o: (o != "ok", o)):
-        counts = [Counter(row["outcome"] for row in of[kind])[outcome] for kind in kinds]
-        table.add_row(outcome.replace("_", " "), *map(str, counts))
-    for name in ("frames", "tracked", "breakages", "relocalizations", "loops", "dropped_maps",
-                 "recoveries_begun", "recovered", "fusions"):  # fmt: skip
-        table.add_row(
-            name.replace("_", " "), *(str(sum(row[name] or 0 for row in of[kind])) for kind in kinds)
-        )
-    for name, label in (("render_cpu_s", "rendering, CPU s each"), ("slam_cpu_s", "run, CPU s each")):
-        known = [[row[name] for row in of[kind] if row[name] is not None] for kind in kinds]
-        table.add_row(label, *(f"{sum(k) / len(k):.1f}" if k else "-" for k in known))
-    return table
+    ends = {kind: Counter(row["outcome"] for row in of[kind]) for kind in kinds}
+    for outcome in dict.fromkeys(["ok", *sorted({row["outcome"] for row in rows})]):
+        yield {"sum over the runs": outcome.replace("_", " "), **{k: ends[k][outcome] for k in kinds}}
+    for name in (
+        "frames", "tracked", "breakages", "relocalizations", "loops", "dropped_maps", "recoveries_begun",
+        "recovered", "fusions", "render_cpu_s", "slam_cpu_s",
+    ):  # fmt: skip
+        sums = {kind: round(sum(row[name] or 0 for row in of[kind])) for kind in kinds}
+        yield {"sum over the runs": name.replace("_", " "), **sums}

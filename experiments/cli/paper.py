@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
-from dslab.experiments.cli.console import JsonOption, out, print_json_line, print_table
+from dslab.experiments.cli.console import JsonOption, out, print_json_line, print_rows, say
 
 Row = dict[str, Any]
 
@@ -28,23 +27,25 @@ def paper_command(
     """
     from dslab.experiments.report.plain_data import as_data
     from dslab.experiments.statistics.paper import CAVEATS, reanalyse
-    from dslab.sim.io.folders import check_free
 
-    if out_dir is not None:
-        check_free(out_dir)
-    rows = as_data(reanalyse())
-    figures = {"rows": rows, "caveats": list(CAVEATS)}
+    figures = {"rows": as_data(reanalyse()), "caveats": list(CAVEATS)}
     if out_dir is not None:
         _write(figures, out_dir)
     if as_json:
         print_json_line(figures)
         return
-    _print(rows)
+    for title, columns in _tables().items():
+        rows = [
+            {"system,\ndata set": f"{row['counts']['system']}\n{row['counts']['dataset']}"}
+            | {name: cell(row) for name, cell in columns.items()}
+            for row in figures["rows"]
+        ]
+        print_rows((part for row in rows for part in (row, {})), title)
     out.print("Note:")
     for caveat in CAVEATS:
         out.print(f"- {caveat}")
     if out_dir is not None:
-        out.print(f"{out_dir / 'paper.json'}, paper.png and paper.svg", soft_wrap=True)
+        say(f"{out_dir / 'paper.json'}, paper.png and paper.svg")
 
 
 def _write(figures: dict[str, Any], out_dir: Path) -> None:
@@ -61,29 +62,25 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
         (partial / "paper.json").write_text(to_json(figures, indent=1) + "\n", encoding="utf-8")
 
 
-def _print(rows: list[Row]) -> None:
+def _tables() -> dict[str, dict[str, Callable[[Row], str]]]:
     from dslab.experiments.report.describe import ends, ends_percent, number, p_value, percent
-
-    def between(share: Row) -> str:
-        return ends_percent(share).removesuffix(" %")
 
     def counted(name: str) -> Callable[[Row], str]:
         def cell(row: Row) -> str:
             share = row[name]
-            return f"{share['events']}/{share['units']}\n{percent(share['estimate'])}\n{between(share)}"
+            between = ends_percent(share).removesuffix(" %")
+            return f"{share['events']}/{share['units']}\n{percent(share['estimate'])}\n{between}"
 
         return cell
 
-    def estimated(name: str) -> Callable[[Row], str]:
-        def cell(row: Row) -> str:
-            estimate = row[name]
-            if name.startswith("ratio"):
-                return f"{number(estimate['value'])}\n{ends(estimate)}"
-            return f"{percent(estimate['value'])}\n{between(estimate)}"
+    def ratio(name: str) -> Callable[[Row], str]:
+        return lambda row: f"{number(row[name]['value'])}\n{ends(row[name])}"
 
-        return cell
+    def predicted(row: Row) -> str:
+        found = row["predicted"]
+        return f"{percent(found['value'])}\n{ends_percent(found).removesuffix(' %')}"
 
-    tables: dict[str, dict[str, Callable[[Row], str]]] = {
+    return {
         "Counts of the paper; below each share its 95 % Clopper-Pearson interval in %": {
             "ORB-SLAM\nfails": counted("base_failure"),
             "needs\nrecovery, p0": counted("p0"),
@@ -91,24 +88,10 @@ def _print(rows: list[Row]) -> None:
             "then thread 2\nfails": counted("thread_2"),
         },
         "Eq. 1 with n = 2": {
-            "predicted,\np0 · pr²": estimated("predicted"),
+            "predicted,\np0 · pr²": predicted,
             "measured": counted("measured"),
-            "measured /\npredicted": estimated("ratio"),
+            "measured /\npredicted": ratio("ratio"),
             "threads\nalike, p": lambda row: p_value(row["alike_p"]),
-            "ratio, ten\ntrials as one": estimated("ratio_if_alike"),
+            "ratio, ten\ntrials as one": ratio("ratio_if_alike"),
         },
     }
-    for title, columns in tables.items():
-        out.print(f"\n{title}\n")
-        print_table(_table(columns, rows))
-
-
-def _table(columns: dict[str, Callable[[Row], str]], rows: list[Row]) -> Table:
-    table = Table()
-    for name in ("system,\ndata set", *columns):
-        table.add_column(name)
-    for row in rows:
-        counts = row["counts"]
-        table.add_row(f"{counts['system']}\n{counts['dataset']}", *(cell(row) for cell in columns.values()))
-        table.add_section()
-    return table

@@ -1,7 +1,6 @@
 """``dslab run``."""
 
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,39 +8,31 @@ import typer
 
 from dslab.experiments.cli.console import (
     CameraOption,
+    FolderOption,
     ForceOption,
-    ModeChoice,
+    JsonOption,
     ModeOption,
+    NoRelocalizationOption,
     RealTimeOption,
     RendererOption,
+    SeedOption,
+    SourceArgument,
     SystemsOption,
     check_real_time,
-    check_seed,
-    out,
+    print_facts,
     print_json_line,
     progress_bars,
     single_threaded_opencv,
 )
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
     from dslab.experiments.runs.systems.registry import System
 
 
-class SystemChoice(StrEnum):
-    """The systems to choose from."""
-
-    BASE = "base"
-    DUAL = "dual"
-    DUAL_PLUS = "dual+"
-    PAPER = "paper"
-    PAPER_PLUS = "paper+"
-    DSO = "dso"
-    LDSO = "ldso"
-
-
 def run_command(
-    source: Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")],
-    out_dir: Annotated[Path, typer.Option("--out", help="Result folder; absent or empty.")],
+    source: SourceArgument,
+    out_dir: FolderOption,
     system: Annotated[
         str,
         typer.Option(
@@ -71,31 +62,18 @@ def run_command(
     exhaustive: Annotated[
         bool, typer.Option("--exhaustive", help="Run every recovery thread to its end, whatever succeeds.")
     ] = False,
-    no_relocalization: Annotated[
-        bool,
-        typer.Option(
-            "--no-relocalization", help="Do not relocalize in saved maps until a new map is initialized."
-        ),
-    ] = False,
-    seed: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            callback=check_seed,
-            metavar="N",
-            help="Root seed of the scenario and of the SLAM; the scenario's own, or 0.",
-        ),
-    ] = None,
+    no_relocalization: NoRelocalizationOption = False,
+    seed: SeedOption = None,
     renderer: RendererOption = None,
     camera: CameraOption = None,
-    mode: ModeOption = ModeChoice.LOCKSTEP,
+    mode: ModeOption = "lockstep",
     real_time: RealTimeOption = False,
     maps: Annotated[
         bool, typer.Option("--map", help="Write the map too, as a COLMAP model with points.ply.")
     ] = False,
     rerun: Annotated[bool, typer.Option("--rerun", help="Write recording.rrd too.")] = False,
     force: ForceOption = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print each summary as one line of JSON.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Run SLAM over a sequence folder or a scenario, say what happened, and write the result folder.
 
@@ -123,20 +101,17 @@ def run_command(
     from dslab.experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from dslab.experiments.runs.sources import open_sequence
     from dslab.experiments.runs.systems.registry import Registry, split_names
-    from dslab.scenarios.errors import InputError
     from dslab.sim.io.folders import check_free, new_directory
-    from dslab.slam.factory import SYSTEMS
     from dslab.slam.warmup import warm_up
 
     chosen = Registry.open(systems_dir or ()).find_all(split_names(system))
-    systems = list(chosen)
     _check_startable(chosen, maps)
     settings = read_slam_settings(config) if config is not None else SlamSettings()
-    if config is not None and mode is ModeChoice.LOCKSTEP and settings.mode is not None:
-        mode = ModeChoice(settings.mode)
+    if config is not None and mode == "lockstep":
+        mode = settings.mode or mode
     check_real_time(real_time, mode)
-    options = _dual_options([s for s in systems if s in SYSTEMS], recovery, exhaustive, no_relocalization)
-    settings = replace(settings, dual_options=options, mode=mode.value)
+    options = _dual_options(chosen, recovery, exhaustive, no_relocalization)
+    settings = replace(settings, dual_options=options, mode=mode)
     if real_time and rerun:
         raise InputError("--rerun", "a recording takes time from the frames", "leave out --real-time")
     check_free(out_dir)
@@ -150,18 +125,17 @@ def run_command(
         build = factory_of(settings)
         with new_directory(out_dir) as folder:
             summaries = run_systems(
-                sequence, systems, slam_seed, folder, rerun, show, build, real_time, maps, chosen
+                sequence, list(chosen), slam_seed, folder, rerun, show, build, real_time, maps, chosen
             )
     if as_json:
         for summary in summaries.values():
             print_json_line(summary)
     else:
         print_runs(summaries)
-        out.print(f"picture    {out_dir / PICTURE_FILE}", soft_wrap=True)
-        if rerun:
-            out.print(f"recording  dslab view {out_dir}", soft_wrap=True)
-        for kind in summaries:
-            out.print(f"{kind:10s} {out_dir / kind if len(summaries) > 1 else out_dir}", soft_wrap=True)
+        files = {"picture": out_dir / PICTURE_FILE} | (
+            {"recording": f"dslab view {out_dir}"} if rerun else {}
+        )
+        print_facts(files | {kind: out_dir / kind if len(summaries) > 1 else out_dir for kind in summaries})
     _check_described(summaries)
 
 
@@ -169,7 +143,6 @@ def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
     """Check, before frames are rendered, that programs are there, and that maps are asked of ours only."""
     from dslab.experiments.runs.systems.command import CommandSystem
     from dslab.experiments.runs.systems.registry import OwnSystem
-    from dslab.scenarios.errors import InputError
     from dslab.slam.factory import DIRECT
 
     for system in chosen.values():
@@ -182,7 +155,6 @@ def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
 def _check_described(summaries: dict[str, dict]) -> None:
     """Raise InputError, after all is written, if a program left other files than described."""
     from dslab.experiments.runs.ending import Ending, EndKind
-    from dslab.scenarios.errors import InputError
 
     for name, summary in summaries.items():
         if Ending(EndKind(summary["ended"])).is_of_description:
@@ -190,24 +162,21 @@ def _check_described(summaries: dict[str, dict]) -> None:
 
 
 def _dual_options(
-    systems: list[str], recovery: str | None, exhaustive: bool, no_relocalization: bool
+    chosen: "dict[str, System]", recovery: str | None, exhaustive: bool, no_relocalization: bool
 ) -> dict[str, Any]:
     """The fields of the settings of Dual-SLAM that options give."""
-    from dslab.scenarios.errors import InputError
     from dslab.slam.dual.recovery.registry import parse_threads
-    from dslab.slam.factory import DIRECT
+    from dslab.slam.factory import DIRECT, SYSTEMS
 
-    options: dict[str, Any] = {}
-    if exhaustive:
-        options["exhaustive"] = True
-    if no_relocalization:
-        options["relocalization"] = False
+    options: dict[str, Any] = {"exhaustive": True} if exhaustive else {}
+    options |= {"relocalization": False} if no_relocalization else {}
     if recovery is not None:
         try:
             options["recovery_threads"] = parse_threads(recovery)
         except ValueError as error:
             remedy = "give kinds with commas between, such as orb,sift"
             raise InputError("--recovery", str(error), remedy) from None
+    systems = [name for name in chosen if name in SYSTEMS]
     if options and set(systems) <= {"base", *DIRECT}:
         raise InputError("--system", f"{', '.join(systems)}: no recovery", "add --system dual or dual+")
     return options

@@ -2,11 +2,9 @@
 
 from collections.abc import Mapping
 
-from rich import box
 from rich.table import Table
-from rich.text import Text
 
-from dslab.experiments.cli.console import number, out, share
+from dslab.experiments.cli.console import number, out, share, table_of
 from dslab.experiments.evaluation.audit_text import audit_text, silent_losses
 from dslab.scenarios.describe import describe_kind
 
@@ -17,6 +15,10 @@ _REASONS = {
     "no_reinit": "neither relocalized nor a new map",
     "few_inliers": "too few inliers",
 }
+_DECLARES = {
+    "losses": "declares losses in its own words, and not what becomes of them",
+    "nothing": "declares nothing: frames without a pose and the audit are what counts",
+}
 _REPAIRS = {"recovery": "fusions", "place": "joins", "relocalization": "relocalizations"}
 
 
@@ -26,100 +28,82 @@ def print_runs(summaries: Mapping[str, dict]) -> None:
         out.print(summary_table(*summaries.values()))
     else:
         out.print(systems_table(summaries))
+        out.print(
+            "Tracked: frames with a live pose. With pose: frames with a final pose in the largest map; ATE: "
+            "their RMSE after Sim(3) alignment. Recovered: the maps were fused. A breakage shortly after a "
+            "segment counts for the segment."
+        )
     if any(summary["breakage_list"] or silent_losses(summary) for summary in summaries.values()):
         out.print(breakage_table(summaries))
     for name, summary in summaries.items():
         if summary["ended"] != "finished" and len(summaries) > 1:
-            out.print(f"{name}: {ending_text(summary)}")
+            out.print(f"{name}: {_ending_text(summary)}")
         if summary["declares"] != "events":
-            out.print(f"{name}: {declares_text(summary)}")
+            live = "; final poses stand in for live ones" if summary["live_poses"] == "final" else ""
+            out.print(f"{name}: {_DECLARES[summary['declares']]}{live}")
         out.print(f"{name}: {audit_text(summary)}")
-
-
-def ending_text(summary: dict) -> str:
-    """How a run ended, in words."""
-    return f"{summary['ended'].replace('_', ' ')}: {summary['ended_message']}"
-
-
-def declares_text(summary: dict) -> str:
-    """What a system that is not ours says of itself, and what counts in its place."""
-    says = {
-        "losses": "declares losses in its own words, and not what becomes of them",
-        "nothing": "declares nothing: frames without a pose and the audit are what counts",
-    }[summary["declares"]]
-    live = "; final poses stand in for live ones" if summary["live_poses"] == "final" else ""
-    return says + live
 
 
 def summary_table(summary: dict) -> Table:
     """The main figures of a run."""
-    table = Table(
-        title=f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}", show_header=False
-    )
-    dropped = summary["dropped_frames"]
-    first = summary["first_tracked_frame"]
-    rows = {} if summary["ended"] == "finished" else {"ended": ending_text(summary)}
-    rows |= {"frames dropped, too late": str(dropped)} if dropped else {}
+    frames, first = summary["frames"], summary["first_tracked_frame"]
+    begun = f"{first}, after {number(summary['time_to_initialise_s'], 2, ' s')}"
+    rows = {} if summary["ended"] == "finished" else {"ended": _ending_text(summary)}
+    rows |= {"frames dropped, too late": summary["dropped_frames"]} if summary["dropped_frames"] else {}
     rows |= {
-        "frames tracked": f"{summary['tracked']} of {summary['frames']} ({share(summary['share_tracked'])})",
-        "frames with a pose in the end": f"{summary['posed']} of {summary['frames']} "
-        f"({share(summary['share_posed'])})",
-        "first tracked frame": "none: never initialized"
-        if first is None
-        else f"{first}, after {number(summary['time_to_initialise_s'], 2, ' s')}",
+        "frames tracked": f"{summary['tracked']} of {frames} ({share(summary['share_tracked'])})",
+        "frames with a pose in the end": f"{summary['posed']} of {frames} ({share(summary['share_posed'])})",
+        "first tracked frame": "none: never initialized" if first is None else begun,
         "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
         "breakages / recovered / relocalized": f"{summary['breakages']} / {summary['recoveries']} / "
         f"{summary['relocalizations']}",
         "ATE (RMSE, Sim(3))": _ate(summary),
         "path covered": f"{number(summary['path_m'], 2, ' m')} ({share(summary['path_share'])})",
-        "tracking CPU, median / p95": f"{number(summary['cpu_ms_median'], 1)} / "
-        f"{number(summary['cpu_ms_p95'], 1)} ms per frame",
-        "mapping CPU, median / p95": f"{number(summary['mapping_cpu_ms_median'], 1)} / "
-        f"{number(summary['mapping_cpu_ms_p95'], 1)} ms per keyframe",
+        **{
+            f"{stage} CPU, median / p95": f"{number(summary[f'{prefix}cpu_ms_median'], 1)} / "
+            f"{number(summary[f'{prefix}cpu_ms_p95'], 1)} ms per {each}"
+            for stage, prefix, each in (("tracking", "", "frame"), ("mapping", "mapping_", "keyframe"))
+        },
         "peak memory": number(summary["peak_rss_mb"], 0, " MiB"),
     }
-    for name, value in rows.items():
-        table.add_row(name, value)
+    title = f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}"
+    table = table_of(({"": name, "is": value} for name, value in rows.items()), title)
+    table.show_header = False
     return table
 
 
 def systems_table(summaries: Mapping[str, dict]) -> Table:
     """The main figures of several systems over one sequence: a row each, and one per injected segment."""
-    first = next(iter(summaries.values()))
-    table = _table(f"{first['sequence']}, seed {first['seed']}")
-    table.add_column("", overflow="fold")
-    for column in ("tracked", "with\npose", "break-\nages", "recov-\nered", "relocal-\nized", "ATE"):
-        table.add_column(column, justify="right", overflow="fold")
+    rows: list[dict[str, str]] = []
     for name, summary in summaries.items():
-        table.add_section()
-        table.add_row(Text(name, "bold"), *_cells(summary, summary["ate_m"], summary["ate_poses"]))
+        rows += [{"": name, **_cells(summary, summary["ate_poses"])}]
         for segment in summary["segments"]:
             part = f" {describe_kind(segment['kind'])} {_span(segment)}"
-            table.add_row(part, *_cells(segment, segment["ate_m"], segment["ate_frames"]))
-    table.caption = (
-        "Tracked: frames with a live pose. With pose: frames with a final pose in the largest map; ATE: "
-        "their RMSE after Sim(3) alignment. Recovered: the maps were fused. A breakage up to "
-        f"{_grace_s():g} s after a segment counts for the segment."
-    )
-    return table
+            rows += [{"": part, **_cells(segment, segment["ate_frames"])}]
+        rows += [{}]
+    first = next(iter(summaries.values()))
+    return table_of(rows, f"{first['sequence']}, seed {first['seed']}")
 
 
 def breakage_table(summaries: Mapping[str, dict]) -> Table:
     """A row per breakage, and per loss that was never declared: when, why, and what became of it."""
-    table = _table("Breakages")
     judged = any(summary["audit"] for summary in summaries.values())
     columns = ["declared", *(["truly lost"] if judged else []), "during", "cause", "what became of it"]
-    for column in columns:
-        table.add_column(column, overflow="fold", no_wrap=column in columns[:-3])
+    shown: list[dict[str, str]] = []
     for name, summary in summaries.items():
-        table.add_section()
-        if len(summaries) > 1:
-            table.add_row(Text(name, "bold"))
         rows = [_breakage_row(breakage, summary) for breakage in summary["breakage_list"]]
         rows += [_silent_row(loss, summary) for loss in silent_losses(summary)]
+        if len(summaries) > 1:
+            shown += [dict.fromkeys(columns, "") | {"declared": name}]
         for _, declared, lost, *rest in sorted(rows):
-            table.add_row(declared, *([lost] if judged else []), *rest)
-    return table
+            words = declared, *([lost] if judged else []), *rest
+            shown += [dict(zip(columns, words, strict=True))]
+        shown += [{}]
+    return table_of(shown, "Breakages")
+
+
+def _ending_text(summary: dict) -> str:
+    return f"{summary['ended'].replace('_', ' ')}: {summary['ended_message']}"
 
 
 def _breakage_row(breakage: dict, summary: dict) -> tuple:
@@ -210,16 +194,16 @@ def _words(reason: str) -> str:
     return _REASONS.get(reason) or reason.replace("_", " ")
 
 
-def _cells(part: dict, ate_m: float | None, posed: int | None) -> list[str]:
-    frames = part["frames"]
-    return [
-        share(part["tracked"] / frames if frames else None),
-        share((posed or 0) / frames if frames else None),
-        str(part["breakages"]),
-        str(part["recoveries"]),
-        str(part["relocalizations"]),
-        number(ate_m, 3, " m"),
-    ]
+def _cells(part: dict, posed: int | None) -> dict[str, str]:
+    frames = part["frames"] or None
+    return {
+        "tracked": share(frames and part["tracked"] / frames),
+        "with\npose": share(frames and (posed or 0) / frames),
+        "break-\nages": str(part["breakages"]),
+        "recov-\nered": str(part["recoveries"]),
+        "relocal-\nized": str(part["relocalizations"]),
+        "ATE": number(part["ate_m"], 3, " m"),
+    }
 
 
 def _ate(summary: dict) -> str:
@@ -229,13 +213,3 @@ def _ate(summary: dict) -> str:
         f"{summary['ate_m']:.4f} m, {share(summary['ate_share_of_path'])} of the path, "
         f"over {summary['ate_poses']} frames"
     )
-
-
-def _table(title: str) -> Table:
-    return Table(title=title, box=box.SIMPLE, show_edge=False, padding=(0, 1, 0, 0), caption_justify="left")
-
-
-def _grace_s() -> float:
-    from dslab.experiments.evaluation.breakages import EXPOSURE_GRACE_S
-
-    return EXPOSURE_GRACE_S

@@ -1,6 +1,5 @@
 """``dslab scenarios``: list, show, check and draw scenarios and their families."""
 
-import json
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,11 +7,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.padding import Padding
 from rich.syntax import Syntax
-from rich.table import Table
 from rich.text import Text
 
-from dslab.experiments.cli.console import err, out, print_error_line, print_table
-from dslab.experiments.cli.gallery import gallery_command
+from dslab.experiments.cli.console import (
+    FolderOption,
+    WorkersOption,
+    out,
+    print_error_line,
+    print_rows,
+    print_schema,
+    progress_bars,
+    say,
+    single_threaded_opencv,
+)
 from dslab.scenarios.errors import InputError, collect
 
 if TYPE_CHECKING:
@@ -50,28 +57,28 @@ def list_scenarios(
         for name, family in families.items():
             _print_family(name, family)
         return
-    table = Table()
-    table.add_column("family")
-    table.add_column("members", justify="right")
-    table.add_column("what it is")
-    for name, family in families.items():
-        table.add_row(name, str(len(family.members) or "-"), re.split(r"[.:](?: |$)", family.description)[0])
-    print_table(table)
+    print_rows(
+        {
+            "family": name,
+            "members": len(family.members) or None,
+            "what it is": re.split(r"[.:](?: |$)", family.description)[0],
+        }
+        for name, family in families.items()
+    )
 
 
 def _print_family(name: str, family: "Family") -> None:
     """Print description, members and drawn parameters."""
     from dslab.scenarios.describe_family import describe_parameters
 
-    drawn = [f"{field}: {words}" for field, words in describe_parameters(family).items()]
+    parts = [family.description]
+    if family.members:
+        parts.append(f"members: {', '.join(f'{name}/{member}' for member in family.members)}")
+    if drawn := [f"{field}: {words}" for field, words in describe_parameters(family).items()]:
+        parts.append("\n".join(["drawn by the seed:", *drawn]))
     out.print(Text(name, "bold"))
-    for text in (
-        family.description,
-        f"members: {', '.join(f'{name}/{member}' for member in family.members)}" if family.members else "",
-        "\n".join(["drawn by the seed:", *drawn]) if drawn else "",
-    ):
-        if text:
-            out.print(Padding(text, (0, 0, 0, 2)))
+    for text in parts:
+        out.print(Padding(text, (0, 0, 0, 2)))
     out.print()
 
 
@@ -119,7 +126,7 @@ def validate(
         for fault in faults[:MOST_FAULTS]:
             print_error_line(f"error: {fault}")
         if len(faults) > MOST_FAULTS:
-            err.print(f"and {len(faults) - MOST_FAULTS} more")
+            print_error_line(f"and {len(faults) - MOST_FAULTS} more")
         raise typer.Exit(2) from None
 
 
@@ -151,7 +158,31 @@ def schema() -> None:
     """
     from dslab.scenarios.schema import json_schema
 
-    print(json.dumps(json_schema(), indent=2))
+    print_schema(json_schema())
 
 
-app.command("gallery")(gallery_command)
+@app.command()
+def gallery(
+    out_dir: FolderOption,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(help="Families, members or .yaml files; default: all of dslab.", metavar="NAME"),
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Sequences per scenario, one seed each.")] = 3,
+    frames: Annotated[int, typer.Option(min=1, max=100, help="Frames per sequence.")] = 8,
+    workers: WorkersOption = 1,
+) -> None:
+    """Make a page of scenarios: thumbnails, a map of the path, segments, drawn parameters.
+
+    The folder holds index.html and its pictures; it opens from the disk without a network. For example:
+
+    `dslab scenarios gallery --out out/gallery --workers 2`
+
+    `dslab scenarios gallery kitti-like stressed mine.yaml --seeds 1 --out out/some`
+    """
+    from dslab.experiments.gallery.build import make_gallery
+
+    single_threaded_opencv()
+    with progress_bars() as show:
+        page = make_gallery(names or [], out_dir, seeds, frames, workers, show)
+    say(str(page))

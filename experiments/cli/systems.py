@@ -3,12 +3,11 @@
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
-from dslab.experiments.cli.console import SystemsOption, out, print_facts, print_table, progress_bars
+from dslab.experiments.cli.console import SystemsOption, out, print_facts, print_rows, progress_bars, say
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
-    from dslab.experiments.runs.execution import RunRecord
     from dslab.experiments.runs.systems.registry import Registry
 
 NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of a system, or module:Class.")]
@@ -17,6 +16,15 @@ app = typer.Typer(
     help="SLAM systems to run: ours, classes of your own, programs of other people. See them, check them, "
     "install them.",
 )
+_OURS = {
+    "base": "ORB-SLAM's method",
+    "dual": "Dual-SLAM",
+    "dual+": "Dual-SLAM with initialization by GMS",
+    "paper": "Dual-SLAM near the paper's text",
+    "paper+": "that with initialization by GMS",
+    "dso": "direct sparse odometry",
+    "ldso": "that with loops",
+}
 
 
 @app.command("list")
@@ -33,12 +41,7 @@ def list_command(systems_dir: SystemsOption = None) -> None:
     from dslab.experiments.runs.systems.registry import Registry
 
     registry = Registry.open(systems_dir or ())
-    table = Table()
-    for column in ("system", "what", "state"):
-        table.add_column(column)
-    for name in registry.names():
-        table.add_row(name, *_described(registry, name))
-    print_table(table)
+    print_rows({"system": name, **_described(registry, name)} for name in registry.names())
 
 
 @app.command("check")
@@ -61,19 +64,31 @@ def check_command(
 
     `dslab systems check my_slam:MySlam --source path/to/sequence`
     """
+    from dslab.experiments.evaluation.summary import is_tracked
     from dslab.experiments.runs.ending import EndKind
     from dslab.experiments.runs.sources import open_sequence
     from dslab.experiments.runs.systems.check import made_up_sequence, run_once
     from dslab.experiments.runs.systems.registry import Registry
-    from dslab.experiments.runs.systems.run import ended_well
 
     system = Registry.open(systems_dir or ()).find(name)
     with progress_bars() as show:
         sequence = made_up_sequence() if source is None else open_sequence(source, progress=show)
         record, log = run_once(system, sequence)
-    if record.ending.kind is not EndKind.FINISHED:
+    ending = record.ending
+    if ending.kind is not EndKind.FINISHED:
         out.print(log, end="" if log.endswith("\n") or not log else "\n")
-    print_facts(_facts(system.name, ended_well(record)))
+        remedy = ending.remedy or "see what it prints"
+        raise InputError(f"system {system.name}", f"{ending.kind}: {ending.message}", remedy)
+    print_facts(
+        {
+            "system": system.name,
+            "ended": ending.kind.value,
+            "frames": len(record.results),
+            "with a live pose": sum(map(is_tracked, record.results)),
+            "with a final pose": len(record.trajectories[0].frames) if record.trajectories else 0,
+            "declares": record.declares.value,
+        }
+    )
 
 
 @app.command("install")
@@ -102,59 +117,32 @@ def install_command(
     from dslab.experiments.runs.systems.command import CommandSystem
     from dslab.experiments.runs.systems.environments import install
     from dslab.experiments.runs.systems.registry import Registry
-    from dslab.scenarios.errors import InputError
 
     system = Registry.open(systems_dir or ()).find(name)
     environment = system.spec.environment if isinstance(system, CommandSystem) else None
     if environment is None:
         raise InputError(f"system {name}", "has no environment to install", "see `dslab systems list`")
-    out.print(f"installing {' '.join(environment.contents)}", soft_wrap=True)
-    out.print(f"{name}: {install(name, environment, repository)}", soft_wrap=True)
+    say(f"installing {' '.join(environment.contents)}")
+    say(f"{name}: {install(name, environment, repository)}")
 
 
-def _described(registry: "Registry", name: str) -> tuple[str, str]:
-    """What a system is, and its state."""
+def _described(registry: "Registry", name: str) -> dict[str, str]:
     from dslab.experiments.runs.systems.command import CommandSystem
     from dslab.experiments.runs.systems.registry import OwnSystem
-    from dslab.scenarios.errors import InputError
 
     try:
         system = registry.find(name)
-        if isinstance(system, OwnSystem):
-            return _OURS[name], "ready"
-        if not isinstance(system, CommandSystem):
-            return f"class {system.source}", "ready"
-        about = system.spec.about or str(system.file)
-        try:
-            system.check()
-        except InputError as fault:
-            return about, f"{fault.problem}; {fault.remedy}"
-        pace = "in real time" if system.spec.pace == "real_time" else "as fast as it can"
-        return about, f"ready, takes frames {pace}"
     except InputError as fault:
-        return "-", str(fault)
-
-
-def _facts(name: str, record: "RunRecord") -> dict[str, str]:
-    from dslab.experiments.evaluation.summary import is_tracked
-
-    posed = len(record.trajectories[0].frames) if record.trajectories else 0
-    return {
-        "system": name,
-        "ended": record.ending.kind.value,
-        "frames": str(len(record.results)),
-        "with a live pose": str(sum(map(is_tracked, record.results))),
-        "with a final pose": str(posed),
-        "declares": record.declares.value,
-    }
-
-
-_OURS = {
-    "base": "ORB-SLAM's method",
-    "dual": "Dual-SLAM",
-    "dual+": "Dual-SLAM with initialization by GMS",
-    "paper": "Dual-SLAM near the paper's text",
-    "paper+": "that with initialization by GMS",
-    "dso": "direct sparse odometry",
-    "ldso": "that with loops",
-}
+        return {"what": "-", "state": str(fault)}
+    if isinstance(system, OwnSystem):
+        return {"what": _OURS[name], "state": "ready"}
+    if not isinstance(system, CommandSystem):
+        return {"what": f"class {system.source}", "state": "ready"}
+    try:
+        system.check()
+    except InputError as fault:
+        state = f"{fault.problem}; {fault.remedy}"
+    else:
+        pace = "in real time" if system.takes_real_time else "as fast as it can"
+        state = f"ready, takes frames {pace}"
+    return {"what": system.spec.about or str(system.file), "state": state}

@@ -1,8 +1,6 @@
 """Build of a gallery: a folder with a page that shows scenarios."""
 
-from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,27 +11,9 @@ from dslab.experiments.runs.provenance import DISTRIBUTION, commit, versions
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.families import Family, family_names, load_family
 from dslab.scenarios.spec import Scenario
-from dslab.sim.io.folders import new_directory
+from dslab.sim.io.folders import Progress, new_directory
 
 PAGE_FILE = "index.html"
-Progress = Callable[[int, int], None]
-
-
-@dataclass(frozen=True)
-class Gallery:
-    """A finished gallery.
-
-    Attributes:
-        page: HTML file.
-        scenarios: number of members and of families without members.
-        sheets: scenarios times seeds.
-        size_bytes: size of the folder.
-    """
-
-    page: Path
-    scenarios: int
-    sheets: int
-    size_bytes: int
 
 
 def make_gallery(
@@ -43,7 +23,7 @@ def make_gallery(
     frames: int = 8,
     workers: int = 1,
     progress: Progress | None = None,
-) -> Gallery:
+) -> Path:
     """Make a folder with a page of thumbnails, maps and segments of every scenario.
 
     Args:
@@ -53,7 +33,10 @@ def make_gallery(
         seeds: number of seeds per scenario, from the seed of its family on.
         frames: number of frames per sequence, at least one per segment.
         workers: processes; the result does not depend on it.
-        progress: called with (sequences done, sequences in all).
+        progress: called with (step, sequences done, sequences in all).
+
+    Returns:
+        The page.
 
     Raises:
         InputError: a name or a file is no scenario, two scenarios share a name, no GL, the folder is not
@@ -68,14 +51,13 @@ def make_gallery(
             for _, sheet in made:
                 sheets[sheet.scenario.name, sheet.scenario.seed] = sheet
                 if progress is not None:
-                    progress(len(sheets), len(samples))
+                    progress("sequences", len(sheets), len(samples))
         in_order = iter([sheets[sample.name, sample.seed] for sample in samples])
         entries = [
             Entry(family, group, tuple(next(in_order) for _ in range(seeds))) for family, group in found
         ]
         (folder / PAGE_FILE).write_text(gallery_html(entries, _made_by()), encoding="utf-8")
-        size_bytes = sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-    return Gallery(out_dir / PAGE_FILE, len(entries), len(samples), size_bytes)
+    return out_dir / PAGE_FILE
 
 
 def _families(names: list[str]) -> list[tuple[Family, Family]]:

@@ -5,27 +5,16 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-from dslab.experiments.gallery.plan_map import height_colour, height_range_m, plan_map
+from dslab.experiments.gallery.plan_map import kind_colour
 from dslab.experiments.gallery.sheet import Sheet, Thumb
-from dslab.experiments.gallery.timeline import curves, ticks
 from dslab.experiments.pages import render_page
-from dslab.scenarios.describe import (
-    describe_camera,
-    describe_kind,
-    describe_motion,
-    describe_severity,
-    describe_span,
-    describe_world,
-    measured,
-)
+from dslab.scenarios.describe import describe_kind, describe_severity, describe_span
 from dslab.scenarios.describe_family import describe_distribution, describe_parameter, parameter_label
 from dslab.scenarios.families import Family
 from dslab.scenarios.segments import SEGMENT_KINDS
 
 _TEMPLATES = Path(__file__).with_name("templates")
 _SHOWN_BLUR_PX = 2.0
-# The golden angle: neighbours in the list get distant hues.
-_HUE_STEP_DEG = 137.508
 
 
 @dataclass(frozen=True)
@@ -67,16 +56,21 @@ def gallery_html(entries: Many[Entry], made_by: str) -> str:
         made_by: program and version, for the footer.
     """
     filters = (
-        curves, describe_kind, describe_severity, describe_span, facts, frame_facts, height_colour,
-        height_range_m, kind_of, measured, parameter_rows, percent_of, plan_map, ticks,
-    )  # fmt: skip
+        describe_kind,
+        describe_severity,
+        describe_span,
+        frame_facts,
+        kind_of,
+        parameter_rows,
+        percent_of,
+    )
     return render_page(
         _TEMPLATES,
         {f.__name__: f for f in filters},
         groups=[list(members) for _, members in groupby(entries, key=lambda entry: entry.group.name)],
         scenarios=len(entries),
         sequences=sum(len(entry.sheets) for entry in entries),
-        hues={kind: index * _HUE_STEP_DEG % 360 for index, kind in enumerate(SEGMENT_KINDS)},
+        colours={kind: kind_colour(kind) for kind in SEGMENT_KINDS},
         made_by=made_by,
     )
 
@@ -104,19 +98,6 @@ def frame_facts(thumb: Thumb, sheet: Sheet) -> list[str]:
     kind = kind_of(thumb, sheet)
     found = [f"{thumb.stamp_s:.2f} s"] + ([describe_kind(kind)] if kind else [])
     return found + ([f"blur {thumb.blur_px:.2g} px"] if thumb.blur_px >= _SHOWN_BLUR_PX else [])
-
-
-def facts(sheet: Sheet) -> dict[str, str]:
-    """Facts about a sequence by name."""
-    scenario, track = sheet.scenario, sheet.track
-    return {
-        "world": describe_world(scenario),
-        "motion": describe_motion(scenario),
-        "camera": describe_camera(scenario),
-        "duration": f"{scenario.duration_s:g} s, {sheet.frames} frames",
-        "path": f"{measured(track.length_m)} m, up and down by {measured(track.climb_m)} m",
-        "fastest": f"{measured(track.speed_mps.max())} m/s, {measured(track.rate_degps.max())} °/s",
-    }
 
 
 def percent_of(part: float, whole: float) -> str:

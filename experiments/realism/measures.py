@@ -1,108 +1,156 @@
-"""The quantities that are compared, each a distribution over frames, observations or map points."""
+"""What a tracker meets in footage: samples over frames, observations and map points."""
 
-from dataclasses import dataclass
-
+import cv2
 import numpy as np
 
+from dslab.slam.map.map import Map
+from dslab.slam.matching import guided
+from dslab.slam.system import MonocularSlam
 
-@dataclass(frozen=True)
-class Measure:
-    """One quantity.
+MEASURES: dict[str, tuple[str, bool]] = {
+    "noise": ("noise in even areas, grey levels", False),
+    "sharpness": ("contrast of one pixel over that of two", False),
+    "clipped_dark": ("pixels of level 5 or less, share", False),
+    "clipped_bright": ("pixels of level 250 or more, share", False),
+    "corner_strength": ("strength of corners (FAST), grey levels", True),
+    "empty_tiles": ("tiles without a corner over 20 levels, share", False),
+    "outliers": ("matches per frame that do not fit its pose, share", False),
+    "inliers": ("inliers per frame", False),
+    "descriptor_distance": ("descriptor of an observation to its point's, bits", False),
+    "octave_change": ("octave of an observation less the predicted one", False),
+    "residual": ("residual in the finished map, sigma of its octave", False),
+    "live_residual": ("residual of all matches, sigma of its octave", False),
+    "track_length": ("keyframes that observe a point", True),
+    "found": ("times found over times expected, of a point", False),
+    "relative_depth": ("depth over its keyframe's median", True),
+}
+"""Every measure, with its label and whether it is drawn on a logarithmic axis."""
+WIDEN = 3.0
+"""Windows of the search for live residuals over the tracker's own."""
+_EVEN_SHARE = 0.05  # of the tiles, the most even ones, in which noise is measured
+_NOISE_TILE_PX = 16
+_LEAST_CORNER, _CLEAR_CORNER = 7, 20
+_TILES_ACROSS = 8
+_DARK, _BRIGHT = 5, 250
 
-    Attributes:
-        name: its key in the JSON file.
-        label: axis label, with the unit.
-        meaning: what it says, in a sentence.
-        low, high: ends of the plotted axis; values beyond are counted in the outermost bins.
-        bins: number of bins between them.
-        log: bins of about equal ratio instead of equal width.
-        group: ``images``, ``matches`` or ``map``.
-        whole: values are whole numbers; then every bin holds at least one.
+
+def frame_statistics(image: np.ndarray) -> dict[str, np.ndarray]:
+    """Samples from a (H, W) uint8 grey frame; empty where it has nothing to measure."""
+    corners = cv2.FastFeatureDetector_create(_LEAST_CORNER, True).detect(image)
+    strength = np.array([c.response for c in corners], float)
+    places = np.array([c.pt for c in corners], float).reshape(-1, 2)
+    side = image.shape[1] / _TILES_ACROSS
+    tiles = max(1, round(image.shape[0] / side)), _TILES_ACROSS
+    ends = [[0, image.shape[0]], [0, image.shape[1]]]
+    counts = np.histogram2d(*places[strength > _CLEAR_CORNER, ::-1].T, tiles, ends)[0]
+    return {
+        "noise": _noise_levels(image),
+        "sharpness": _sharpness(image),
+        "clipped_dark": np.array([np.mean(image <= _DARK)]),
+        "clipped_bright": np.array([np.mean(image >= _BRIGHT)]),
+        "corner_strength": strength,
+        "empty_tiles": np.array([np.mean(counts == 0)]),
+    }
+
+
+def _noise_levels(image: np.ndarray) -> np.ndarray:
+    """(0,) or (1,) noise of a frame, grey levels, from its most even tiles that are not clipped.
+
+    Source: Immerkaer, "Fast noise variance estimation", CVIU 1996: a mask that planes and edges along the
+    axes do not pass.
     """
+    mask = np.array([[1, -2, 1], [-2, 4, -2], [1, -2, 1]], np.float32) / 6
+    detail = cv2.filter2D(image.astype(np.float32), -1, mask) ** 2
+    size = _NOISE_TILE_PX
+    rows, columns = image.shape[0] // size, image.shape[1] // size
 
-    name: str
-    label: str
-    meaning: str
-    low: float
-    high: float
-    bins: int
-    log: bool = False
-    group: str = "matches"
-    whole: bool = False
+    def tiles(values: np.ndarray) -> np.ndarray:
+        cut = values[: rows * size, : columns * size]
+        return cut.reshape(rows, size, columns, size).swapaxes(1, 2).reshape(rows * columns, size * size)
 
-    def edges(self) -> np.ndarray:
-        """(n + 1,) float64 edges; n is ``bins``, or fewer for whole numbers."""
-        if self.log and self.whole:
-            return np.unique(np.rint(np.geomspace(self.low, self.high, self.bins + 1))) - 0.5
-        if self.log:
-            return np.geomspace(self.low, self.high, self.bins + 1)
-        return np.linspace(self.low, self.high, self.bins + 1)
-
-    def histogram(self, values: np.ndarray) -> np.ndarray:
-        """(n,) float64 share of the values in each bin; zeros without values."""
-        edges = self.edges()
-        counts = np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0]
-        return counts / max(len(values), 1)
+    levels = tiles(image)
+    sound = (levels.min(1) > _DARK) & (levels.max(1) < _BRIGHT)
+    if not sound.any():
+        return np.empty(0)
+    variance = np.sort(tiles(detail)[sound].mean(1))
+    return np.array([np.sqrt(variance[: max(1, round(_EVEN_SHARE * len(variance)))].mean())])
 
 
-MEASURES: tuple[Measure, ...] = (
-    Measure(
-        "noise", "noise in even areas, grey levels", "Standard deviation of the finest detail where a frame "
-        "is even; needs even areas, so texture everywhere raises it too.", 0, 4, 40, group="images",
-    ),
-    Measure(
-        "sharpness", "contrast of one pixel over that of two", "Share of the fine detail: root mean square "
-        "Laplacian of the frame over that of the frame at half size. Blur of lens and sensor lowers it.",
-        0, 1.5, 45, group="images",
-    ),
-    Measure(
-        "clipped_dark", "pixels of level 5 or less, share", "Shadows without detail.", 0, 0.3, 30,
-        group="images",
-    ),
-    Measure(
-        "clipped_bright", "pixels of level 250 or more, share", "Sky and lights without detail.", 0, 0.3, 30,
-        group="images",
-    ),
-    Measure(
-        "corner_strength", "strength of corners (FAST), grey levels", "Contrast of corners over 7 levels.",
-        7, 150, 24, True, "images", True,
-    ),
-    Measure(
-        "empty_tiles", "tiles without a corner over 20 levels, share", "Tiles of an eighth of the width: "
-        "texture that is everywhere leaves none empty.", 0, 1, 33, group="images",
-    ),
-    Measure(
-        "outliers", "matches per frame that do not fit its pose, share", "1 - inliers / matches of every "
-        "tracked frame.", 0, 0.6, 40,
-    ),
-    Measure("inliers", "inliers per frame", "Matches that fit the pose of a tracked frame.", 0, 1000, 40),
-    Measure(
-        "descriptor_distance", "descriptor distance of an observation to its point, bits", "How much a "
-        "thing's look changes from view to view.", 0, 100, 50,
-    ),
-    Measure(
-        "octave_change", "octave of an observation less the one predicted by distance", "How far the size at "
-        "which a corner is found follows from its distance.", -4.5, 4.5, 9,
-    ),
-    Measure(
-        "residual", "reprojection residual, in sigma of its octave", "Of all observations of the finished "
-        "map; it ends at 2.45, from where an observation is removed.", 0, 3, 45,
-    ),
-    Measure(
-        "live_residual", "distance of a match from its point, in sigma of its octave", "Of all matches in "
-        "windows of three times the tracker's, at the pose that was found, none removed.", 0, 8, 48,
-    ),
-    Measure(
-        "track_length", "keyframes that observe a point", "Of all points of the finished map.", 1, 60, 24,
-        True, "map", True,
-    ),
-    Measure(
-        "found", "times found over times expected", "Of all points: whether they are seen again where they "
-        "should be.", 0, 1, 40, group="map",
-    ),
-    Measure(
-        "relative_depth", "depth of an observation over its keyframe's median", "Near things tell of "
-        "translation, far ones of rotation alone.", 0.1, 10, 40, True, "map",
-    ),
-)  # fmt: skip
-"""Every quantity, in the order of the page."""
+def _sharpness(image: np.ndarray) -> np.ndarray:
+    fine = image.astype(np.float32)
+    half = cv2.resize(fine, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    of_fine, of_half = (float(np.sqrt(np.mean(cv2.Laplacian(x, cv2.CV_32F) ** 2))) for x in (fine, half))
+    return np.array([of_fine / of_half]) if of_half > 0 else np.empty(0)
+
+
+def live_residuals(system: MonocularSlam) -> np.ndarray:
+    """Match the last tracked frame with its local map once more, at the pose that was found.
+
+    The tracker removes matches that do not fit, so that what it keeps says nothing of how far they lie off.
+    Here the same search runs in wider windows, and everything that it finds counts. Neither map nor tracker
+    changes.
+
+    Args:
+        system: just after a frame that was tracked and made no keyframe.
+
+    Returns:
+        (n,) float64 distances of the keypoints from their points, in sigma of their octave.
+    """
+    m, last = system.current_map, system.tracker.last
+    if last is None:
+        return np.empty(0)
+    f, T = last.features, np.ascontiguousarray(last.T_cam_map)
+    near = system.tracker.config.local_map_keyframes
+    known = last.point.copy()
+    _, points = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, known, near)
+    point = np.full(len(f), -1, np.int32)
+    guided.match_local_points(
+        m.arrays, m.view, T, points, f.xy, f.octave, f.descriptors, f.cell_start, point, WIDEN, 0.8, False
+    )
+    row = np.flatnonzero(point >= 0)
+    p_cam = m.arrays.pt_xyz[point[row]] @ T[:3, :3].T + T[:3, 3]
+    return _in_sigma(m, p_cam, f.xy[row], f.octave[row])
+
+
+def map_statistics(map_: Map) -> dict[str, np.ndarray]:
+    """Samples from a finished map: of every observation, or of every point, that was not removed."""
+    a, view = map_.arrays, map_.view
+    used = int(a.kf_start[map_.n_keyframes])
+    row = np.flatnonzero(a.kp_point[:used] >= 0)
+    row = row[~a.kf_bad[a.kp_keyframe[row]] & ~a.pt_bad[a.kp_point[row]]]
+    keyframe, point, octave = a.kp_keyframe[row], a.kp_point[row], a.kp_octave[row]
+    T = a.kf_T_cam_map[keyframe]
+    p_cam = np.einsum("nij,nj->ni", T[:, :3, :3], a.pt_xyz[point]) + T[:, :3, 3]
+    seen = p_cam[:, 2] > 0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = _in_sigma(map_, p_cam, a.kp_xy[row], octave)
+        level = np.log(a.pt_max_distance[point] / np.linalg.norm(p_cam, axis=1)) / view.log_scale
+    expected = np.clip(np.ceil(level), 0, len(view.scale) - 1)
+    bits = a.kp_descriptor[row] ^ a.pt_descriptor[point]
+    distance = np.unpackbits(bits.view(np.uint8), axis=1).sum(1)
+    points = map_.points()
+    visible = a.pt_visible[points]
+    return {
+        # The keyframe that gives a point its descriptor is no comparison.
+        "descriptor_distance": distance[distance > 0].astype(float),
+        "octave_change": (octave - expected)[seen],
+        "residual": error[seen],
+        "relative_depth": _relative(p_cam[seen, 2], keyframe[seen]),
+        "track_length": a.pt_observations[points].astype(float),
+        "found": a.pt_found[points][visible > 0] / visible[visible > 0],
+    }
+
+
+def _in_sigma(map_: Map, p_cam: np.ndarray, xy: np.ndarray, octave: np.ndarray) -> np.ndarray:
+    """(n,) distances of keypoints from (n, 3) points of the camera, in sigma of their octave."""
+    view = map_.view
+    uv = p_cam[:, :2] / p_cam[:, 2:] * (view.fx, view.fy) + (view.cx, view.cy)
+    return np.linalg.norm(uv - xy, axis=1) * np.sqrt(view.inv_sigma2[octave])
+
+
+def _relative(depth: np.ndarray, keyframe: np.ndarray) -> np.ndarray:
+    relative = np.empty_like(depth)
+    for k in np.unique(keyframe):
+        of_k = keyframe == k
+        relative[of_k] = depth[of_k] / np.median(depth[of_k])
+    return relative

@@ -27,6 +27,7 @@ def open_sequence(
     force: bool = False,
     camera: Path | None = None,
     first_s: float | None = None,
+    cache_dir: Path | None = None,
 ) -> Sequence:
     """Load a sequence folder, images or a video, or render a scenario or read it from the cache.
 
@@ -41,6 +42,7 @@ def open_sequence(
         force: begin even if disks and memory seem too small, or the frames are very many.
         camera: camera.yaml of images or a video; None for a source that has its own.
         first_s: only the frames of the first seconds, of a scenario these alone are rendered; None for all.
+        cache_dir: folder of the cache of rendered frames; None for the default one.
 
     Raises:
         InputError: the source does not exist or is not valid, a renderer is named for a folder, or there is
@@ -75,14 +77,9 @@ def open_sequence(
     scenario = load_scenario(source, seed)
     needs = [] if out_dir is None else [images_need_of(scenario, out_dir, depth)]
     return render_sequence(
-        scenario,
-        depth=depth,
-        first_s=first_s,
-        progress=progress,
-        backend=backend,
-        needs=needs,
-        force=force,
-    )
+        scenario, cache_dir=cache_dir, depth=depth, first_s=first_s, progress=progress, backend=backend,
+        needs=needs, force=force,
+    )  # fmt: skip
 
 
 def open_imu(

@@ -14,7 +14,7 @@ from numba.core.dispatcher import Dispatcher
 from dslab import sim, slam
 from dslab.experiments import kernels
 from dslab.experiments.cli.console import progress_bars
-from dslab.experiments.cli.experiment_progress import experiment_progress
+from dslab.experiments.cli.units import unit_progress
 from dslab.experiments.kernels import compile_kernels
 from dslab.slam.warmup import Kernel, read_kernels
 
@@ -106,13 +106,13 @@ def test_the_mark_names_the_sources_as_they_are(monkeypatch):
     assert kernels._mark()[1] != state
 
 
-def test_what_runs_slam_compiles_first_with_its_bar(monkeypatch):
+def test_what_runs_slam_compiles_first_with_its_bar(monkeypatch, tmp_path):
     asked = []
     monkeypatch.setattr(kernels, "compile_kernels", asked.append)
     with progress_bars() as show:
         assert asked == [show]
     with progress_bars(kernels=False):
         pass
-    with experiment_progress("units"):
+    with unit_progress("units", tmp_path):
         pass
     assert len(asked) == 2

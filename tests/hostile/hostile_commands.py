@@ -8,7 +8,7 @@ import typer
 from dslab.experiments.cli.commands import app
 
 ARGUMENTS = {
-    "demo": "--scenario {in}/scenario/scenario.yaml --out {in}/result",
+    "demo": "--out {in}/result",
     "render": "{in}/scenario/scenario.yaml --out {out}",
     "degrade": "{in}/tum --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
     "export": "{in}/tum --format tum --out {out}",
@@ -26,14 +26,13 @@ ARGUMENTS = {
     "experiment export": "{in}/experiment/experiment",
     "experiment report": "{in}/experiment/nothing",
     "experiment replay": "{in}/experiment/experiment none",
-    "experiment power": "--p0 0.25 --pr 0.2 --n 2 --worlds 10",
+    "experiment power": "--p0 0.25 --pr 0.2 --worlds 10",
     "experiment prove": "--only nothing",
     "experiment fuzz": "--out {in}/result",
     "bench slam": "{in}/nothing",
     "bench sim": "--renderer nothing",
     "bench experiment": "{in}/nothing.yaml",
     "vocabulary train": "--out {in}/nothing.txt",
-    "vocabulary show": "{in}/nothing.npz",
 }
 """Commands without arguments, and those that come to be, need no entry."""
 WORDS = (

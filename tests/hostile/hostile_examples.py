@@ -162,18 +162,6 @@ def _cache(folder: Path) -> None:
     render_sequence(load_scenario(str(folder / "scenario.yaml")), cache_dir=folder / "cache")
 
 
-def _vocabulary(folder: Path) -> None:
-    folder.mkdir()
-    tree = {
-        "descriptor": np.arange(12, dtype=np.uint64).reshape(3, 4),
-        "first_child": np.array([1, 0, 0], np.int32),
-        "n_children": np.array([2, 0, 0], np.int32),
-        "word": np.array([-1, 0, 1], np.int32),
-        "weight": np.ones(2),
-    }
-    np.savez(folder / "vocabulary.npz", provenance=json.dumps({"frames": 3}), **tree)
-
-
 _EXPORTS = (
     "export {in} --format tum --out {out}",
     "degrade {in} --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
@@ -311,7 +299,6 @@ EXAMPLES: dict[str, Example] = {
             environment={"DSLAB_CACHE_DIR": "{in}/cache"},
             heavy=True,
         ),
-        Example("vocabulary", _vocabulary, ("vocabulary show {in}/vocabulary.npz",)),
     )
 }
 EVERYTHING = Example("everything", _everything, ())

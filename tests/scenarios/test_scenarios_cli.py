@@ -155,7 +155,6 @@ class _RenderedEnoughError(Exception):
         (["render"], None),
         (["render"], 3),
         (["run"], 3),
-        (["demo", "--scenario"], 3),
         (["bench"], 3),
         (["export", "--format", "tum"], 3),
     ],

@@ -2,13 +2,11 @@
 
 from pathlib import Path
 
-from dslab.experiments.runs.ending import EndKind
 from dslab.experiments.runs.execution import AtEnd, Observer, Progress, RunRecord, SystemFactory, execute
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.systems.command import CommandSystem, run_command
 from dslab.experiments.runs.systems.own_class import ClassSystem
 from dslab.experiments.runs.systems.registry import System
-from dslab.scenarios.errors import InputError
 from dslab.sim.sequence import Sequence
 
 
@@ -42,12 +40,3 @@ def run_system(
         made = system
         build, at_end = (lambda name, camera, seed: made.build(camera, seed)), None
     return execute(sequence, system.name, seed, observer, progress, build, pace, at_end)
-
-
-def ended_well(record: RunRecord) -> RunRecord:
-    """The record of a run that has ended well. Raises InputError for any other."""
-    ending = record.ending
-    if ending.kind is not EndKind.FINISHED:
-        remedy = ending.remedy or "see what it prints"
-        raise InputError(f"system {record.system_kind}", f"{ending.kind}: {ending.message}", remedy)
-    return record

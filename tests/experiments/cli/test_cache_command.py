@@ -23,7 +23,7 @@ def test_it_shows_folder_size_cap_and_ages(dslab, cache):
     code, out, _ = dslab("cache")
     assert code == 0 and str(cache) in out and "DSLAB_CACHE_DIR" in out
     assert "0.02 GB of at most 20 GB" in out
-    assert "2 hours ago; the oldest 9 days ago" in out
+    assert "0.1 days ago; the oldest 9.0 days ago" in out
 
 
 def test_doctor_names_the_folder_and_the_cap(dslab, cache, monkeypatch):
@@ -38,9 +38,9 @@ def test_doctor_names_the_folder_and_the_cap(dslab, cache, monkeypatch):
 
 def test_cleaning_by_age_and_all(dslab, cache):
     code, out, _ = dslab("cache", "clean", "--older-than", 7)
-    assert (code, out) == (0, f"{cache}: 1 entry deleted, 0.01 GB\n")
+    assert (code, out) == (0, f"{cache}: 1 deleted, 0.01 GB\n")
     assert [path.name for path in cache.iterdir()] == ["new"]
-    assert dslab("cache", "clean")[1] == f"{cache}: 1 entry deleted, 0.01 GB\n"
+    assert dslab("cache", "clean")[1] == f"{cache}: 1 deleted, 0.01 GB\n"
     assert list(cache.iterdir()) == []
 
 

@@ -14,7 +14,6 @@ from rich.table import Table
 from slam_fakes import fake_factory, make_sequence
 
 from dslab.experiments.cli import console
-from dslab.experiments.cli.experiment_progress import experiment_progress
 from dslab.experiments.cli.signals import signals_as_interrupts
 from dslab.experiments.cli.streams import safe_streams
 from dslab.experiments.runs import slam_settings, sources
@@ -161,11 +160,8 @@ def test_whatever_is_in_a_name_is_shown_in_progress(monkeypatch):
     shown = io.StringIO()
     terminal = console.Console(file=shown, force_terminal=True, width=200)
     monkeypatch.setattr("dslab.experiments.cli.console.err", terminal)
-    monkeypatch.setattr("dslab.experiments.cli.experiment_progress.err", terminal)
     with console.progress_bars() as show:
-        show(HOSTILE, 1, 2)
-    with experiment_progress(HOSTILE):
-        pass
+        show(HOSTILE, 1, 2, HOSTILE)
     assert shown.getvalue().count(HOSTILE) >= 2
 
 

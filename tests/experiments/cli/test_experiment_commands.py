@@ -17,7 +17,7 @@ from unit_fakes import made_up_record, made_up_unit
 
 from dslab.experiments.campaign.folder import TABLE_FILE, export, open_ledger, read_experiment
 from dslab.experiments.campaign.runner import Tally, run_experiment
-from dslab.experiments.cli.experiment_progress import estimates_text, pace_text
+from dslab.experiments.cli.units import estimates_text
 from dslab.experiments.eq1.records import columns, decided
 from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.jobs.ledger import LEDGER_FILE
@@ -329,7 +329,7 @@ def test_an_exported_table_of_wrong_rows_is_one_line(dslab, smoke, damage):
 
 
 def test_power_prints_that_of_both_tests(dslab):
-    given = ["--p0", "0.4", "--pr", "0.3", "--n", "2", "--ratio", "4", "--worlds", "40", "--json"]
+    given = ["--p0", "0.4", "--pr", "0.3", "--pr", "0.3", "--ratio", "4", "--worlds", "40", "--json"]
     code, out, _ = dslab("experiment", "power", *given)
     found = json.loads(out)
     assert code == 0 and found["predicted"] == pytest.approx(0.036)
@@ -341,15 +341,14 @@ def test_the_schema_is_one_of_json(dslab):
     assert code == 0 and "confirmatory" in json.loads(out)["properties"]
 
 
-def test_progress_shows_pace_and_estimates():
+def test_estimates_are_shares_with_counts():
     tally = Tally(12, 20, completed=10, void=1, errors=1, retries=5, breakages=4, failures=1,
                   ended_here=6, workers=2)  # fmt: skip
-    assert pace_text(tally, 360.0) == "60/h, 0:08:00 left"
     assert estimates_text(tally) == "p0 0.40 (4/10), dual failures 0.10 (1/10), 1 void, 1 errors"
     crossing = replace(tally, completed=0, breakages=0, failures=0, crossing=8, uncrossed=2, errors=0)
     assert estimates_text(crossing) == "no thread crosses 0.25 (2/8), 1 void"
     none = Tally(0, 20, 0, 0, 0, 0, 0, 0, 0, workers=0)
-    assert pace_text(none, 1.0) == "waiting for workers" and "p0 - (0/0)" in estimates_text(none)
+    assert "p0 - (0/0)" in estimates_text(none)
 
 
 def test_a_run_of_the_crossing_arm_says_how_often_no_thread_crosses(dslab, tmp_path):

@@ -120,17 +120,6 @@ def test_an_imu_changes_no_frame_and_other_forms_leave_it_out(scenario, tmp_path
     with_imu, without = open_sequence(str(tmp_path / "tum")), open_sequence(scenario, 3)
     for index in range(20):
         np.testing.assert_array_equal(with_imu.frames[index], without.frames[index])
-    text = dslab(
-        "export",
-        str(tmp_path / "imu.yaml"),
-        *SEED,
-        "--format",
-        "euroc",
-        "--no-imu",
-        "--out",
-        str(tmp_path / "e"),
-    )
-    assert "imu0" not in text and load_euroc_imu(tmp_path / "e") is None
 
 
 def test_depth_is_written_on_request_and_kept_where_present(scenario, tmp_path):

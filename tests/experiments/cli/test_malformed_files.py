@@ -54,7 +54,6 @@ def refused(dslab, tmp_path, monkeypatch):
         ["experiment", "export", LONG],
         ["experiment", "run", f"{LONG}.yaml", "--out", "o"],
         ["vocabulary", "train", "--out", f"{LONG}/x.npz"],
-        ["vocabulary", "show", LONG],
     ],
     ids=range(20),
 )
@@ -71,7 +70,6 @@ def test_a_name_too_long_is_one_line(refused, command):
         ["scenarios", "validate", "FILE"],
         ["scenarios", "show", "FILE"],
         ["view", "FILE"],
-        ["vocabulary", "show", "FILE"],
         ["experiment", "run", "FILE", "--out", "o"],
         ["experiment", "status", "FOLDER"],
     ],

@@ -4,7 +4,6 @@ import io
 import json
 import os
 import shutil
-from collections import defaultdict
 from pathlib import Path
 
 import pytest
@@ -13,9 +12,9 @@ from typer.main import get_command
 
 from dslab.experiments.campaign.folder import ERRORS_FILE
 from dslab.experiments.campaign.runner import Tally
-from dslab.experiments.cli import bench, console, fuzz
+from dslab.experiments.cli import console
 from dslab.experiments.cli.commands import app
-from dslab.experiments.cli.experiment_progress import experiment_progress
+from dslab.experiments.cli.units import unit_progress
 from dslab.scenarios.families import library_names, load_family
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "docs" / "eq1-quick"
@@ -85,15 +84,15 @@ def test_the_report_prints_its_answer(dslab, monkeypatch, tmp_path):
     assert "room 9 2 19.0 % 20.0 % 22.2 % 14.1 to 33.3 %" in " ".join(out.split())
 
 
-def test_progress_shows_count_bar_and_time_left(monkeypatch):
+def test_progress_shows_count_bar_and_time_left(monkeypatch, tmp_path):
     shown = io.StringIO()
     terminal = Console(file=shown, force_terminal=True, width=80, color_system=None)
-    monkeypatch.setattr("dslab.experiments.cli.experiment_progress.err", terminal)
-    with experiment_progress("eq1-full") as show:
+    monkeypatch.setattr("dslab.experiments.cli.console.err", terminal)
+    with unit_progress("eq1-full", tmp_path) as show:
         show(Tally(1234, 5400, 1180, 44, 10, 50, breakages=401, failures=211, ended_here=617, workers=8))
     lines = shown.getvalue().splitlines()
     bar = next(line for line in reversed(lines) if "1234/5400" in line)
-    assert "━━━━━━" in bar and bar.rstrip().endswith("left") and "…" not in bar
+    assert "━━━━━━" in bar and " left " in bar and "…" not in bar
     assert any("p0 0.34 (401/1180)" in line and "10 errors" in line for line in lines)
 
 
@@ -102,20 +101,21 @@ BENCHMARK = {
     "renderer": "mujoco", "processes": 2, "size_px": [640, 480],
     "asked": {"rendered_per_s": 60, "degraded_per_s": 150, "build_s": 5, "peak_rss_mb": 1536},
     "rendered": {"large_city": RATE}, "degraded": {"sharp": RATE, "blurred": RATE},
+    "build": dict.fromkeys(("build_s", "build_cpu_s", "load_s", "peak_rss_mb"), 12345.0),
 }  # fmt: skip
-RUN = defaultdict(int, {"system": "base", "outcome": "ok"})
 
 
-@pytest.mark.parametrize(
-    "table",
-    [bench._rates_table(BENCHMARK), fuzz._table([RUN], ("base", "dual"))],
-    ids=["simulator", "fuzz"],
-)
-def test_every_column_has_a_name_of_its_own(capsys, table):
-    console.print_table(table)
-    assert fits(capsys.readouterr().out)
-    names = [str(column.header).replace("\n", " ") for column in table.columns]
-    assert all(names) and len(set(names)) == len(names)
+def test_the_figures_of_the_simulator_fit(dslab, monkeypatch):
+    monkeypatch.setattr("dslab.experiments.benchmarks.simulator.bench_sim", lambda *_: BENCHMARK)
+    code, out, _ = dslab("bench", "sim")
+    assert code == 0 and fits(out) and "rendered, large city" in out
+
+
+def test_a_table_has_a_column_per_key_and_figures_stand_right():
+    table = console.table_of([{"": "[a]", "n": 3, "what": "word"}, {}, {"": "b", "n": None, "what": "4 m"}])
+    assert [c.justify for c in table.columns] == ["left", "right", "left"]
+    assert [list(c._cells) for c in table.columns] == [["[a]", "b"], ["3", "-"], ["word", "4 m"]]
+    assert table.rows[0].end_section
 
 
 def test_the_viewer_says_nothing_of_its_own(capfd, monkeypatch, tmp_path):

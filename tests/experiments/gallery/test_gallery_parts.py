@@ -1,18 +1,18 @@
-"""Parts of a gallery: choice of frames, outline, map, curves, page."""
+"""Parts of a gallery: choice of frames, map, page."""
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from html_page import Page
 
-from dslab.experiments.gallery.outline import draw_outline, frame_of, level_cut
 from dslab.experiments.gallery.page import Entry, gallery_html
-from dslab.experiments.gallery.plan_map import plan_map
-from dslab.experiments.gallery.sheet import Sheet, Thumb, Track, chosen_frames
-from dslab.experiments.gallery.timeline import curves
+from dslab.experiments.gallery.plan_map import SIZE_PX, draw_map, kind_colour, level_cut
+from dslab.experiments.gallery.sheet import Sheet, Thumb, chosen_frames
 from dslab.scenarios.families import load_family
 from dslab.scenarios.segment_text import parse_segment
+from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.frame_drops import FrameDropsDegradation
@@ -71,76 +71,43 @@ def test_a_level_cut_is_the_floor_plan():
     assert len(level_cut(world, 3.0)) == 0
 
 
-def test_the_outline_is_drawn_at_the_place_of_the_objects():
-    frame = frame_of(np.array([[0.0, 0.0], [10.0, 5.0]]))
-    world = WorldModel([box((4, 2, 0), (6, 3, 2))], 118.0)
-    picture = draw_outline(world, np.full(5, 1.5), frame)
-    rows, columns = np.nonzero(picture[..., 3])
-    low, high = (frame.place(np.array(corner)) * 2 for corner in ((4, 2), (6, 3)))
-    assert (columns.min(), columns.max()) == pytest.approx((low[0], high[0]), abs=2)
-    assert (rows.max(), rows.min()) == pytest.approx((low[1], high[1]), abs=2)
+FAR = box((40, 40, 0), (41, 41, 1))
 
 
-def test_every_storey_is_cut():
-    frame = frame_of(np.array([[0.0, 0.0], [10.0, 5.0]]))
-    world = WorldModel([box((1, 1, 0), (2, 2, 3)), box((7, 3, 3), (8, 4, 6))], 118.0)
-    low, both = (draw_outline(world, np.array(z), frame)[..., 3] for z in ([1.5, 1.5], [1.5, 4.5]))
-    right = frame.place(np.array([5.0, 0.0]))[0] * 2
-    assert not low[:, int(right) :].any()
-    assert both[:, int(right) :].any() and np.array_equal(low[:, : int(right)], both[:, : int(right)])
+def drawn(tmp_path, *surfaces, segments=(), heights_m=(1.5, 1.5)):
+    """Map of a way from (0, 0) to (10, 0) that climbs, BGR."""
+    position_m = np.column_stack([np.linspace(0, 10, 200), np.zeros(200), np.repeat(heights_m, 100)])
+    gaze, world = np.array([[0.0, 1.0, 0.0]]), WorldModel([FAR, *surfaces], 118.0)
+    draw_map(tmp_path / "map.png", world, position_m, list(segments), position_m[:1], gaze)
+    return cv2.imread(str(tmp_path / "map.png")).astype(int)
 
 
-@pytest.mark.parametrize("points", [[[0, 0], [0, 0]], [[0, 0], [1000, 0]], [[-3, 5], [-3, 900]]])
-def test_a_map_holds_the_whole_path_and_stays_small(points):
-    points = np.array(points, float)
-    frame = frame_of(points)
-    placed = frame.place(points)
-    assert (placed > 0).all() and (placed < [frame.width_px, frame.height_px]).all()
-    assert max(frame.width_px, frame.height_px) <= 480
+def changed(one, other):
+    return np.nonzero((one != other).any(axis=2))
 
 
-def sheet_that_climbs(climb_m: float) -> Sheet:
-    stamps_s = np.linspace(0, 60, 500)
-    turn = stamps_s / 60 * 2 * np.pi
-    position_m = np.column_stack([20 * np.cos(turn), 20 * np.sin(turn), 1.5 + climb_m * stamps_s / 60])
-    scenario = Scenario.model_validate(
-        {
-            "name": "stairs",
-            "duration_s": 60,
-            "world": {"kind": "room"},
-            "segments": [{"kind": "fog", "start_s": 10, "duration_s": 5, "extinction_per_m": 0.5}],
-        }
-    )
-    speed = np.full(500, 2.1)
-    track = Track(stamps_s, position_m, speed, 2 * speed, 126.0, climb_m, (position_m[83:125],))
-    thumb = Thumb("a.jpg", 32, 24, 0, 0.0, None, 0.0, position_m[0], np.array([0.0, 1.0]))
-    inside = replace(thumb, frame=375, stamp_s=12.5, segment=0, position_m=position_m[104])
-    return Sheet(scenario, 1800, (thumb, inside), track, frame_of(position_m[:, :2]), "outline.png")
+def test_the_map_shows_the_world_the_segments_and_every_storey(tmp_path):
+    low, high = box((4, 2, 0), (6, 3, 3)), box((4, -3, 3), (6, -2, 6))
+    empty, floor = drawn(tmp_path), drawn(tmp_path, low, high)
+    rows, columns = changed(floor, empty)
+    assert rows.max() < SIZE_PX / 2 and columns.min() > 0.2 * SIZE_PX and columns.max() < 0.8 * SIZE_PX
+    assert changed(drawn(tmp_path, low, high, heights_m=(1.5, 4.5)), floor)[0].min() > SIZE_PX / 2
+    fog = drawn(tmp_path, segments=[("fog", np.array([[2.0, 0, 1.5], [4, 0, 1.5]]))])
+    assert 50 < len(changed(fog, empty)[0]) < 5000
 
 
-def test_a_climb_is_shown_by_colour_and_over_time():
-    climbing, level = sheet_that_climbs(9.0), sheet_that_climbs(0.2)
-    colours = {line["style"] for line in Page(plan_map(climbing)).all("polyline") if "style" in line}
-    assert len(colours) >= 5
-    assert not any("style" in line for line in Page(plan_map(level)).all("polyline"))
-    assert "height, 1.5 to 10.5 m" in curves(climbing)
-    assert len(curves(level)) == 2
-
-
-def test_the_map_marks_segments_frames_and_its_scale():
-    sheet = sheet_that_climbs(0.0)
-    drawn = Page(plan_map(sheet))
-    assert [line["class"] for line in drawn.all("polyline")] == ["segment fog", "path"]
-    assert drawn.text.endswith("1 2 start end 10 m")
-    (bar,) = (path["d"] for path in drawn.all("path") if path["class"] == "scale")
-    start, end = float(bar.split("V")[0].split()[0][1:]), float(bar.split("H")[1].split("V")[0])
-    assert end - start == pytest.approx(10 * sheet.map_frame.px_per_m, abs=0.1)
+def test_kinds_have_colours_of_their_own():
+    assert len({kind_colour(kind) for kind in SEGMENT_KINDS}) == len(SEGMENT_KINDS)
 
 
 def test_a_page_shows_every_seed_and_escapes_texts():
+    fog = {"kind": "fog", "start_s": 10, "duration_s": 5, "extinction_per_m": 0.5}
+    scenario = Scenario(name="stairs", duration_s=60, world={"kind": "room"}, segments=[fog])
+    thumb = Thumb("a.jpg", 32, 24, 375, 12.5, 0, 0.0)
+    sheet = Sheet(scenario, (thumb,), "map.png", {"world": "a <b>room</b>"})
     family = replace(load_family("clean-room"), description="<b>Bold</b> & true")
-    page = Page(gallery_html([Entry(family, family, (sheet_that_climbs(0.2), sheet_that_climbs(9)))], "<i>"))
+    page = Page(gallery_html([Entry(family, family, (sheet, sheet))], "<i>"))
     seeds = [details for details in page.all("details") if details.get("class") == "seed"]
     assert ["open" in details for details in seeds] == [True, False]
-    assert "<b>Bold</b> & true" in page.text and "Made by <i>." in page.text
+    assert "<b>Bold</b> & true" in page.text and "Made by <i>." in page.text and "a <b>room</b>" in page.text
     assert not page.all("i")
