@@ -1,25 +1,22 @@
 """Random scenarios through the systems, to find exceptions, hangs and inconsistent maps.
 
-Accuracy is not judged. Every unit runs in a worker process, which it may block or crash. The invariants are
-checked at every frame with an event, and at the end.
+Accuracy is not judged. Every run is an item of the pool, whose process it may block or crash. The invariants
+are checked at every frame with an event, and at the end.
 """
 
 import hashlib
 import json
-import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dslab.experiments.fuzz.drawn_threads import drawn_kinds, drawn_settings
-from dslab.experiments.jobs.pool import Ended, Pool, PoolSettings, open_pool
+from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
 from dslab.experiments.runs.ending import EndKind
 from dslab.experiments.runs.execution import (
     Mode,
@@ -29,23 +26,28 @@ from dslab.experiments.runs.execution import (
     execute,
     system_factory,
 )
-from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.files import plain, to_json
 from dslab.experiments.runs.provenance import commit
 from dslab.scenarios.loading import dump_yaml
 from dslab.scenarios.random_scenarios import random_scenario
-from dslab.scenarios.spec import Scenario
 from dslab.sim.io.folders import new_directory
 from dslab.sim.sequence import Sequence as ImageSequence
 from dslab.sim.sequence_rendering import render_sequence
-from dslab.sim.unfinished import scratch_folder
 from dslab.slam.core.events import Event
 from dslab.slam.core.results import TrackingResult
+from dslab.slam.core.seeds import rng_for
+from dslab.slam.dual.config import DualConfig
+from dslab.slam.dual.recovery.registry import ThreadSpec, parse_threads
+from dslab.slam.factory import PAPERS
 from dslab.slam.invariants import InvariantError, check_result, check_system
 from dslab.slam.system import MonocularSystem
 
 UNITS_FILE = "units.jsonl"
-TIMES_FILE = "times.jsonl"
 FAILED_DIR = "failed"
+Row = dict[str, Any]
+_KINDS = ("orb", "sift", "direct", "gms")  # those of the paper are the first two with other settings
+_DRAWN = ("dual", "dual+")  # systems whose threads are drawn
+_USUAL, _USUAL_SHARE, _MOST = "orb,sift", 0.3, 3
 
 
 class FuzzOutcome(StrEnum):
@@ -60,16 +62,16 @@ class FuzzOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class FuzzUnit:
-    """One scenario, rendered once, through one or more systems.
+    """A scenario through a system.
 
     Attributes:
-        seed: of the scenario, the images, the recovery threads and the systems.
-        systems: the systems, in the order of their runs.
+        seed: of the scenario, the images, the recovery threads and the system.
+        system: the system.
         mode: threaded systems are checked only at the end.
     """
 
     seed: int
-    systems: tuple[SystemKind, ...]
+    system: SystemKind
     mode: Mode = "lockstep"
 
 
@@ -78,114 +80,105 @@ def run_fuzz(
     out_dir: Path,
     workers: int = 1,
     timeout_s: float = 600.0,
-    progress: Callable[[dict[str, Any], int, int], None] | None = None,
-    job: Callable[[FuzzUnit], Iterator[dict[str, Any]]] | None = None,
-) -> list[dict[str, Any]]:
-    """Run units and write one row per system of each.
-
-    A unit whose process dies or is late is run again one system at a time, so that only the system at fault
-    fails.
+    progress: Callable[[Row, int, int], None] | None = None,
+    job: Callable[[FuzzUnit], Row] | None = None,
+) -> list[Row]:
+    """Run units and write a row of each.
 
     Args:
         units: the units to run.
-        out_dir: absent or empty; gets units.jsonl, the same bytes for any number of processes; times.jsonl;
-            and under ``failed`` the scenario of every unit that failed.
+        out_dir: absent or empty; gets units.jsonl, the same bytes for any number of processes, and under
+            ``failed`` the scenario of every unit that failed.
         workers: number of processes.
-        timeout_s: longest duration of one system's run and the rendering before it.
+        timeout_s: longest duration of a run and the rendering before it.
         progress: called with each new row, runs done and runs in all.
-        job: runs one unit; :func:`fuzz_unit` by default.
+        job: runs a unit; :func:`fuzz_unit` by default.
 
     Returns:
-        The rows, in order of seed and system.
+        The rows, in the order of the units.
 
     Raises:
         InputError: the folder is taken or not writable, or the disk is full.
     """
-    order = {(unit.seed, kind): at for unit in units for at, kind in enumerate(unit.systems)}
-    rows: list[dict[str, Any]] = []
+    rows: dict[FuzzUnit, Row] = {}
     with new_directory(out_dir) as folder:
-        with open_pool(partial(_rows_of, job or fuzz_unit), PoolSettings(workers, None, timeout_s)) as pool:
-            for row in _run(pool, units):
-                rows.append(row)
+        with open_pool(job or fuzz_unit, PoolSettings(workers, None, timeout_s)) as pool:
+            for ended in pool.run(deque(units)):
+                row = rows[ended.item] = _row_of_failure(ended) if ended.value is None else ended.value
                 if progress is not None:
-                    progress(row, len(rows), len(order))
-        rows.sort(key=lambda row: (row["seed"], order[row["seed"], row["system"]]))
-        _write(folder, rows)
-    return rows
+                    progress(row, len(rows), len(units))
+        in_order = [rows[unit] for unit in units]
+        text = "".join(to_json(row) + "\n" for row in in_order)
+        (folder / UNITS_FILE).write_text(text, encoding="utf-8")
+        (folder / "commit.txt").write_text(f"{commit() or 'unknown'}\n")
+        for seed in sorted({row["seed"] for row in failed(in_order)}):
+            (folder / FAILED_DIR).mkdir(exist_ok=True)
+            (folder / FAILED_DIR / f"{seed}.yaml").write_text(dump_yaml(random_scenario(seed)))
+    return in_order
 
 
-def fuzz_unit(unit: FuzzUnit, build: SystemFactory | None = None) -> Iterator[dict[str, Any]]:
-    """Render a unit and run each of its systems over it; one row each. Never raises.
+def fuzz_unit(
+    unit: FuzzUnit, build: SystemFactory | None = None, sequence: ImageSequence | None = None
+) -> Row:
+    """Render a unit's scenario and run its system, which is checked. Never raises.
 
     Args:
         unit: the unit to run.
-        build: makes the systems; those of the project by default.
+        build: makes the system; None for that of the project, with the threads of the seed.
+        sequence: frames to run over instead.
     """
-    started = time.process_time()
-    scenario = random_scenario(unit.seed)
-    # These frames are used once: they are not kept in the cache.
-    with scratch_folder() as cache:
-        try:
-            sequence = render_sequence(scenario, cache_dir=cache)
-        except Exception as error:
-            for kind in unit.systems:
-                yield empty_row(unit, kind, scenario) | _failure(error, "render")
-            return
-        render_cpu_s = time.process_time() - started
-        for kind in unit.systems:
-            yield fuzz_run(unit, kind, scenario, sequence, build) | {"render_cpu_s": render_cpu_s}
-
-
-def fuzz_run(
-    unit: FuzzUnit,
-    kind: SystemKind,
-    scenario: Scenario,
-    sequence: ImageSequence,
-    build: SystemFactory | None = None,
-) -> dict[str, Any]:
-    """Run one checked system over the frames of a unit and return its row. Never raises."""
-    row = empty_row(unit, kind, scenario)
-    checks = _Checks(each_frame=unit.mode == "lockstep")
-    started = time.process_time()
+    row, checks = empty_row(unit), _Checks(each_frame=unit.mode == "lockstep")
     try:
+        frames = sequence or render_sequence(random_scenario(unit.seed))
+        checks.stage = "frame 0"
+        dual = None if unit.system in PAPERS else DualConfig(recovery_threads=drawn_threads(unit.seed))
         record = execute(
-            sequence, kind, unit.seed, observer=checks, at_end=lambda system, _: check_system(system),
-            build=build or system_factory(unit.mode, drawn_settings(unit.seed, kind)),
+            frames, unit.system, unit.seed, observer=checks, at_end=lambda system, _: check_system(system),
+            build=build or system_factory(unit.mode, dual),
         )  # fmt: skip
-        row |= {"outcome": FuzzOutcome.OK.value, **_figures(record)}
+        return row | {"outcome": FuzzOutcome.OK.value} | _figures(record)
     except Exception as error:  # any error is a finding
-        row |= _failure(error, f"frame {checks.frames}")
-    row["slam_cpu_s"] = time.process_time() - started
-    return row
+        broken = isinstance(error, InvariantError)
+        return row | {
+            "outcome": (FuzzOutcome.INVARIANT if broken else FuzzOutcome.EXCEPTION).value,
+            "stage": checks.stage,
+            "message": f"{type(error).__name__}: {error}",
+            "traceback": "".join(traceback.format_exception(error)),
+        }
 
 
-def empty_row(unit: FuzzUnit, kind: SystemKind, scenario: Scenario | None = None) -> dict[str, Any]:
+def empty_row(unit: FuzzUnit) -> Row:
     """A row with every column, before the run."""
-    scenario = scenario or random_scenario(unit.seed)
-    counts = ("frames", "tracked", "maps", "digest", *_COUNTED)
+    scenario = random_scenario(unit.seed)
+    threads = drawn_threads(unit.seed) if unit.system in _DRAWN else ()
     return {
         "seed": unit.seed,
-        "system": kind,
+        "system": unit.system,
         "mode": unit.mode,
-        "recovery": drawn_kinds(unit.seed, kind),
+        "recovery": ",".join(spec.kind for spec in threads),
         "scenario": scenario.name,
         "segments": len(scenario.segments),
         "outcome": FuzzOutcome.DIED.value,
-        "stage": "",
-        "message": "",
-        "traceback": "",
-        **dict.fromkeys(counts),
-        "render_cpu_s": None,
-        "slam_cpu_s": None,
+        **dict.fromkeys(("stage", "message", "traceback"), ""),
+        **dict.fromkeys(("frames", "tracked", "maps", "digest", *_COUNTED)),
     }
 
 
-def failed(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def drawn_threads(seed: int) -> tuple[ThreadSpec, ...]:
+    """Draw the recovery threads of a seed: often those of Algorithm 1, else one to three in any order."""
+    rng = rng_for(seed, "random", "recovery threads")
+    if rng.random() < _USUAL_SHARE:
+        return parse_threads(_USUAL)
+    count = int(rng.integers(1, _MOST + 1))
+    return parse_threads(",".join(rng.permutation(_KINDS)[:count]))
+
+
+def failed(rows: Sequence[Row]) -> list[Row]:
     """The rows of failed runs."""
     return [row for row in rows if row["outcome"] != FuzzOutcome.OK]
 
 
-def replay_command(row: dict[str, Any]) -> str:
+def replay_command(row: Row) -> str:
     """The command that repeats the run of a row."""
     return (
         f"dslab experiment fuzz --start {row['seed']} --units 1 --system {row['system']} "
@@ -197,7 +190,7 @@ class _Checks:
     """Checks invariants during a run: of every result, and of the whole system after an event."""
 
     def __init__(self, each_frame: bool) -> None:
-        self.frames = 0
+        self.stage = "render"
         self._each_frame = each_frame
         self._events = 0
 
@@ -206,7 +199,7 @@ class _Checks:
         if self._each_frame and len(system.events) > self._events:
             self._events = len(system.events)
             check_system(system)
-        self.frames += 1
+        self.stage = f"frame {result.frame + 1}"
 
 
 _COUNTED: dict[str, Callable[[Event], bool]] = {
@@ -221,7 +214,7 @@ _COUNTED: dict[str, Callable[[Event], bool]] = {
 }
 
 
-def _figures(record: RunRecord) -> dict[str, Any]:
+def _figures(record: RunRecord) -> Row:
     return {
         "frames": len(record.results),
         "tracked": sum(result.T_map_cam is not None for result in record.results),
@@ -243,47 +236,7 @@ def _digest(record: RunRecord) -> str:
     return digest.hexdigest()[:16]
 
 
-def _failure(error: Exception, stage: str) -> dict[str, Any]:
-    broken = isinstance(error, InvariantError)
-    return {
-        "outcome": (FuzzOutcome.INVARIANT if broken else FuzzOutcome.EXCEPTION).value,
-        "stage": stage,
-        "message": f"{type(error).__name__}: {error}",
-        "traceback": "".join(traceback.format_exception(error)),
-    }
-
-
-def _rows_of(job: Callable[[FuzzUnit], Iterator[dict[str, Any]]], unit: FuzzUnit) -> list[dict[str, Any]]:
-    return list(job(unit))
-
-
-def _run(pool: Pool, units: Sequence[FuzzUnit]) -> Iterator[dict[str, Any]]:
-    waiting = deque(units)
-    for ended in pool.run(waiting):
-        unit: FuzzUnit = ended.item
-        if ended.value is not None:
-            yield from ended.value
-        elif len(unit.systems) > 1:
-            waiting.extendleft(replace(unit, systems=(kind,)) for kind in reversed(unit.systems))
-        else:
-            yield _row_of_failure(ended)
-
-
-def _row_of_failure(ended: Ended) -> dict[str, Any]:
+def _row_of_failure(ended: Ended) -> Row:
     outcome = FuzzOutcome.TIMEOUT if ended.fault is EndKind.TIMED_OUT else FuzzOutcome.DIED
     trace = ended.report or ended.message
-    found = {"outcome": outcome.value, "message": ended.message, "traceback": trace}
-    return empty_row(ended.item, ended.item.systems[0]) | found
-
-
-def _write(folder: Path, rows: list[dict[str, Any]]) -> None:
-    times = ("render_cpu_s", "slam_cpu_s")
-    lasting = [{name: value for name, value in row.items() if name not in times} for row in rows]
-    taken = [{name: row[name] for name in ("seed", "system", *times)} for row in rows]
-    for name, table in ((UNITS_FILE, lasting), (TIMES_FILE, taken)):
-        lines = [json.dumps(plain(row), allow_nan=False) + "\n" for row in table]
-        (folder / name).write_text("".join(lines), encoding="utf-8")
-    (folder / "commit.txt").write_text(f"{commit() or 'unknown'}\n")
-    for seed in sorted({row["seed"] for row in failed(rows)}):
-        (folder / FAILED_DIR).mkdir(exist_ok=True)
-        (folder / FAILED_DIR / f"{seed}.yaml").write_text(dump_yaml(random_scenario(seed)))
+    return empty_row(ended.item) | {"outcome": outcome.value, "message": ended.message, "traceback": trace}
