@@ -23,7 +23,8 @@ from dslab.experiments.runs.slam_settings import settings_yaml
 from dslab.experiments.runs.systems.command_spec import CommandSpec, Environment, Limits
 from dslab.scenarios.cameras import PRESETS as CAMERAS
 from dslab.scenarios.cameras import Camera
-from dslab.scenarios.describe import describe_kind, label_and_unit
+from dslab.scenarios.describe import describe_kind
+from dslab.scenarios.describe_fields import described_fields
 from dslab.scenarios.families import library_names, load_family
 from dslab.scenarios.imu import Imu
 from dslab.scenarios.motions import KINDS as MOTIONS
@@ -208,48 +209,12 @@ def _about(model: type[BaseModel]) -> str:
 
 
 def _fields(model: type[BaseModel], without: tuple[str, ...] = ("kind",)) -> str:
-    """A list of a model's fields, each with default and range; the unit is read off a name's ending."""
-    schema = model.model_json_schema()
-    items = []
-    for name, field in schema["properties"].items():
-        if name not in without:
-            default = "required" if name in schema.get("required", ()) else _value(field.get("default"))
-            span = f"{_range(field)} {label_and_unit(name)[1].strip()}".strip()
-            about = "; ".join(filter(None, (default, span)))
-            meaning = field.get("description", "")
-            items.append(_item(f"**`{name}`**{f' ({about})' if about else ''}{meaning and f': {meaning}'}"))
+    """A list of a model's fields, each with default and range."""
+    items = [
+        _item(f"**`{name}`**{f' ({about})' if about else ''}{meaning and f': {meaning}'}")
+        for name, about, meaning in described_fields(model, without)
+    ]
     return "\n".join(items) + "\n"
-
-
-def _value(default: object) -> str:
-    """A default as written in YAML; nothing for one that is made by the model or left out."""
-    if isinstance(default, bool):
-        return f"default `{default}`".lower()
-    return f"default `{default}`" if isinstance(default, str | int | float) and default != "" else ""
-
-
-def _range(field: Mapping) -> str:
-    options = field.get("enum") or next((o["enum"] for o in field.get("anyOf", ()) if "enum" in o), None)
-    if options:
-        return f"one of {', '.join(f'`{option}`' for option in options)}"
-    bounds = next(
-        (o for o in (field, *field.get("anyOf", ())) if {"minimum", "exclusiveMinimum"} & set(o)), {}
-    )
-    low = (
-        f"above {bounds['exclusiveMinimum']:g}"
-        if "exclusiveMinimum" in bounds
-        else f"{bounds.get('minimum', '')}"
-    )
-    high = (
-        f"below {bounds['exclusiveMaximum']:g}"
-        if "exclusiveMaximum" in bounds
-        else f"{bounds.get('maximum', '')}"
-    )
-    if high == str(2**63 - 1):  # that of any whole number
-        high = ""
-    if low and high:
-        return f"{low} to {high}"
-    return low if "above" in low else f"from {low}" if low else high
 
 
 def _item(text: str) -> str:

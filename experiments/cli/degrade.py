@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.padding import Padding
 
 from dslab.experiments.cli.console import (
     CameraOption,
@@ -21,12 +22,28 @@ from dslab.scenarios.errors import InputError
 
 
 def _print_kinds(requested: bool) -> None:
+    """The kinds that recorded frames can have, with their keys."""
     if not requested:
         return
-    from dslab.experiments.cli.degrade_kinds import described_kinds
+    from dslab.scenarios.describe_fields import described_fields
+    from dslab.scenarios.segments import SEGMENT_KINDS, ImageSegment
+    from dslab.sim.degradations.recorded_kinds import recorded_sequence_kinds
+    from dslab.sim.degradations.registry import DEGRADATIONS
 
-    for part in described_kinds():
-        out.print(part)
+    kinds, of_all = recorded_sequence_kinds(depth=True), ("start_s", "duration_s", "ramp_s", "fall_s")
+    for kind in kinds:
+        model = SEGMENT_KINDS[kind]
+        about = " ".join((model.__doc__ or "").split("\n\n")[-1].split()).removeprefix("In recordings: ")
+        out.print(f"{kind}: {about}")
+        for name, span, meaning in described_fields(model, ("kind", *of_all)):
+            out.print(Padding(f"{name} ({span}) {meaning}".replace("`", ""), (0, 0, 0, 2)))
+    plain = [kind for kind in kinds if not issubclass(SEGMENT_KINDS[kind], ImageSegment)]
+    out.print(
+        "Every kind has start_s and duration_s, in seconds from the first frame, and all but "
+        f"{', '.join(plain)} have ramp_s, the time in which the severity rises and falls (fall_s, if it "
+        "falls in another). In rendered scenarios only: "
+        f"{', '.join(kind for kind in DEGRADATIONS if kind not in kinds)}."
+    )
     raise typer.Exit
 
 

@@ -3,7 +3,7 @@
 import json
 import shlex
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from collections.abc import Sequence as Many
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,14 +16,8 @@ from dslab.experiments.runs.execution import Observer, RunRecord, live_trajector
 from dslab.experiments.runs.systems.command_spec import CommandSpec, filled
 from dslab.experiments.runs.systems.environments import python_of
 from dslab.experiments.runs.systems.guarded import GuardedRun, run_guarded
-from dslab.experiments.runs.systems.left_events import LeftEvents, read_events
-from dslab.experiments.runs.systems.left_files import (
-    LeftFrames,
-    LeftPoses,
-    read_frames,
-    read_maps,
-    read_poses,
-)
+from dslab.experiments.runs.systems.left_events import read_events
+from dslab.experiments.runs.systems.left_files import read_frames, read_maps
 from dslab.experiments.runs.systems.poses_only import PosesOnly, frame_result
 from dslab.experiments.runs.systems.vocabulary_text import vocabulary_of
 from dslab.scenarios.errors import InputError
@@ -135,17 +129,19 @@ def run_command(
 def _record(
     system: CommandSystem, sequence: Sequence, seed: int, left: Path, run: GuardedRun, config: dict
 ) -> RunRecord:
-    spec, form = system.spec, system.spec.trajectory_form
-    final = _maps(left, spec.trajectory, form, sequence)
-    live = [] if spec.live is None else [read_poses(left / spec.live, form, sequence)]
-    keyframes = [] if spec.keyframes is None else _maps(left, spec.keyframes, form, sequence)
-    frames = LeftFrames() if spec.frames is None else read_frames(left / spec.frames, sequence)
-    events = LeftEvents() if spec.events is None else read_events(left / spec.events, len(sequence))
-    paths = _paths(final)
+    spec = system.spec
+    faults: list[Ending] = []
+
+    def poses(name: str | None) -> tuple[MapTrajectory, ...]:
+        return () if name is None else read_maps(left, name, spec.trajectory_form, sequence, faults)
+
+    paths, live, made = poses(spec.trajectory), poses(spec.live), poses(spec.keyframes)
+    frames = {} if spec.frames is None else read_frames(left / spec.frames, sequence, faults)
+    events = () if spec.events is None else read_events(left / spec.events, len(sequence), faults)
     places = {path.map_id: place for place, path in enumerate(paths)}
-    made = sorted(_paths(keyframes), key=lambda path: places.get(path.map_id, len(places)))
-    results = _results(sequence, _paths(live) if live else paths[:1], frames, made)
-    faults = [of.fault for of in (*final, *live, *keyframes, frames, events)]
+    made = sorted(made, key=lambda path: places.get(path.map_id, len(places)))
+    results = _results(sequence, paths[:1] if spec.live is None else live, frames, made)
+    ending = next((e for e in (run.ending, *faults) if e.kind is not EndKind.FINISHED), run.ending)
     declares = Declares.LOSSES if spec.lost_states else Declares.NOTHING
     return RunRecord(
         sequence=sequence,
@@ -153,51 +149,38 @@ def _record(
         seed=seed,
         config=config,
         results=results,
-        events=events.events if spec.events else _losses(sequence, frames, spec.lost_states),
+        events=events if spec.events else _losses(sequence, frames, spec.lost_states),
         trajectories=paths,
         keyframes=tuple(made),
         live=live_trajectories(results),
         map_points={},
         wall_s=run.wall_s,
         peak_rss_mb=run.peak_rss_mb,
-        ending=_worst(run.ending, faults),
+        ending=ending,
         declares=Declares.EVENTS if spec.events else declares,
         has_live_poses=spec.live is not None,
         cpu_s=run.cpu_s,
     )
 
 
-def _maps(left: Path, name: str, form: str, sequence: Sequence) -> list[LeftPoses]:
-    """The poses of one map or, with a ``*`` in the name, of every map."""
-    if "*" in name:
-        return read_maps(left, name, form, sequence)
-    return [read_poses(left / name, form, sequence)]
-
-
-def _paths(found: list[LeftPoses]) -> tuple[MapTrajectory, ...]:
-    return tuple(poses.trajectory for poses in found if poses.trajectory is not None)
-
-
-def _worst(ending: Ending, faults: list[Ending]) -> Ending:
-    """How it ended; if well, the first fault of its files."""
-    return next((e for e in (ending, *faults) if e.kind is not EndKind.FINISHED), ending)
-
-
 def _results(
-    sequence: Sequence, given: Many[MapTrajectory], frames: LeftFrames, keyframes: Many[MapTrajectory]
+    sequence: Sequence,
+    given: Many[MapTrajectory],
+    frames: Mapping[int, Mapping[str, Any]],
+    keyframes: Many[MapTrajectory],
 ) -> tuple[TrackingResult, ...]:
     poses = {int(f): T for path in given for f, T in zip(path.frames, path.T_map_cam, strict=True)}
     first = min(poses, default=len(sequence))
     made = {int(f) for path in keyframes for f in path.frames}
     results = []
     for frame, stamp_s in enumerate(sequence.stamps_s):
-        said = frames.numbers.get(frame, {})
+        said = frames.get(frame, {})
         result = frame_result(
             frame,
             float(stamp_s),
             poses.get(frame),
             frame > first,
-            reason="" if frame in poses else frames.states.get(frame, ""),
+            reason="" if frame in poses else said.get("state", ""),
             ms={"process": said["ms"]} if "ms" in said else {},
             cpu_ms={"process": said["cpu_ms"]} if "cpu_ms" in said else {},
             is_keyframe=frame in made,
@@ -207,14 +190,15 @@ def _results(
     return tuple(results)
 
 
-def _losses(sequence: Sequence, frames: LeftFrames, words: tuple[str, ...]) -> tuple[Event, ...]:
+def _losses(
+    sequence: Sequence, frames: Mapping[int, Mapping[str, Any]], words: tuple[str, ...]
+) -> tuple[Event, ...]:
     """A breakage where the state becomes one of some words, from one that is none of them."""
     found, was_lost = [], False
-    for frame in sorted(frames.states):
-        is_lost = frames.states[frame] in words
+    for frame in sorted(frames):
+        is_lost = frames[frame]["state"] in words
         if is_lost and not was_lost:
-            stamp_s = float(sequence.stamps_s[frame])
-            reason = frames.states[frame].lower()
+            stamp_s, reason = float(sequence.stamps_s[frame]), frames[frame]["state"].lower()
             found.append(Breakage(frame=frame, stamp_s=stamp_s, map_id=0, reason=reason, inliers=0))
         was_lost = is_lost
     return tuple(found)

@@ -1,14 +1,14 @@
 """Events that a program has left, one JSON object per line as in the lab's ``events.jsonl``."""
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dslab.experiments.runs.ending import FINISHED, Ending, EndKind
-from dslab.scenarios.errors import InputError
+from dslab.experiments.runs.ending import Ending
+from dslab.experiments.runs.systems.left_files import noted
 from dslab.scenarios.input_files import TABLE_BYTES, is_given, read_text
 from dslab.slam.core import events
 from dslab.slam.core.events import Event
@@ -19,42 +19,29 @@ _KINDS = {
 }
 
 
-@dataclass(frozen=True)
-class LeftEvents:
-    """The events in a file.
-
-    Attributes:
-        events: in order; none if the file is malformed.
-        fault: what is wrong with the file; finished if nothing is.
-    """
-
-    events: tuple[Event, ...] = ()
-    fault: Ending = FINISHED
-
-
-def read_events(path: Path, frames: int) -> LeftEvents:
-    """Read events; whatever is wrong with the file is said in the result.
+def read_events(path: Path, frames: int, faults: list[Ending]) -> tuple[Event, ...]:
+    """Read events, in order; none of a file that is malformed, of which ``faults`` gets what is wrong.
 
     Kinds and fields that are not known are left out, as a release may have others than today's lab.
 
     Args:
         path: the file; if there is none, there are no events.
         frames: number of frames that the program was given.
+        faults: gets what is wrong with the file.
     """
+    found = []
     if not is_given(path):
-        return LeftEvents()
-    found, line = [], ""
-    try:
+        return ()
+    with noted(faults, path.name, "write the fields of `slam.events`"):
         for line in read_text(path, TABLE_BYTES).splitlines():
-            row = json.loads(line)
-            if row["event"] in _KINDS:
-                found.append(_event(_KINDS[row["event"]], row, frames))
-    except InputError as error:
-        return LeftEvents(fault=Ending(EndKind.UNREADABLE, f"{error.where}: {error.problem}", error.remedy))
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
-        message = " ".join(f"{path.name}: {line[:60]!r} is no event ({error})".split())
-        return LeftEvents(fault=Ending(EndKind.UNREADABLE, message, "write the fields of `slam.events`"))
-    return LeftEvents(tuple(found))
+            try:
+                row = json.loads(line)
+                if row["event"] in _KINDS:
+                    found.append(_event(_KINDS[row["event"]], row, frames))
+            except (ValueError, TypeError, KeyError, RecursionError) as error:
+                raise ValueError(f"{line[:60]!r} is no event ({error})") from None
+        return tuple(found)
+    return ()
 
 
 def _event(kind: type[Event], row: dict[str, Any], frames: int) -> Event:

@@ -3,12 +3,14 @@
 import csv
 import io
 import re
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from dslab.experiments.runs.ending import FINISHED, Ending, EndKind
+from dslab.experiments.runs.ending import Ending, EndKind
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import TABLE_BYTES, is_given, read_text
 from dslab.sim.io.text import read_rows
@@ -27,87 +29,66 @@ _MOST_POSITION = 1e9
 _MOST_SKEW = 1e-2
 
 
-@dataclass(frozen=True)
-class LeftPoses:
-    """The poses in a file.
+class LeftFaultError(Exception):
+    """What is wrong with a file; ``ending`` says it."""
 
-    Attributes:
-        trajectory: of the frames that have one; None for none.
-        fault: what is wrong with the file; finished if nothing is.
-    """
-
-    trajectory: MapTrajectory | None
-    fault: Ending = FINISHED
+    def __init__(self, kind: EndKind, message: str, remedy: str) -> None:
+        super().__init__(message)
+        self.ending = Ending(kind, message, remedy)
 
 
-@dataclass(frozen=True)
-class LeftFrames:
-    """The figures of frames in a file, by index of the frame.
-
-    Attributes:
-        states: word of the system's own.
-        numbers: by name, those of ``NUMBERS`` that it says.
-        fault: what is wrong with the file; finished if nothing is.
-    """
-
-    states: dict[int, str] = field(default_factory=dict)
-    numbers: dict[int, dict[str, float]] = field(default_factory=dict)
-    fault: Ending = FINISHED
+@contextmanager
+def noted(faults: list[Ending], file: str, remedy: str) -> Iterator[None]:
+    """Note what is wrong with a file that a program has left, whatever it is."""
+    try:
+        yield
+    except LeftFaultError as fault:
+        faults.append(fault.ending)
+    except InputError as error:
+        faults.append(Ending(EndKind.UNREADABLE, f"{error.where}: {error.problem}", error.remedy))
+    except (ValueError, TypeError, KeyError, RecursionError, csv.Error) as error:
+        faults.append(Ending(EndKind.UNREADABLE, " ".join(f"{file}: {error}".split()), remedy))
 
 
-def read_maps(folder: Path, name: str, form: str, sequence: Sequence) -> list[LeftPoses]:
-    """Read the files of poses of a name with one ``*``, the number of a map; that with most poses first."""
-    pattern = re.compile(re.escape(name).replace(r"\*", r"(\d{1,9})"))
-    numbered = [(pattern.fullmatch(file.relative_to(folder).as_posix()), file) for file in folder.glob(name)]
-    maps = sorted((int(match[1]), file) for match, file in numbered if match)
-    found = [read_poses(file, form, sequence, map_id) for map_id, file in maps]
-    return sorted(found, key=lambda of: -len(of.trajectory.frames) if of.trajectory else 0)
-
-
-def read_poses(path: Path, form: str, sequence: Sequence, map_id: int = 0) -> LeftPoses:
-    """Read a file of poses; whatever is wrong with it is said in the result.
+def read_maps(
+    folder: Path, name: str, form: str, sequence: Sequence, faults: list[Ending]
+) -> tuple[MapTrajectory, ...]:
+    """Read the poses of one map or, with a ``*`` in the name, the number of a map, of every map.
 
     Args:
-        path: the file; if there is none, no frame has a pose.
+        folder: of the program's files.
+        name: of its files of poses; if there is none, no frame has a pose.
         form: ``tum``, ``kitti`` (a row per frame, in order) or ``euroc``.
         sequence: the frames that the program was given.
-        map_id: number of the map.
+        faults: gets what is wrong with the files.
 
     Returns:
-        The poses. Rows that are not finite are left out and the first is named; of a file that is malformed
-        or has stamps of no frame nothing is kept.
+        The maps with poses, that with most first. Rows that are not finite are left out and the first is
+        named; of a file that is malformed or has stamps of no frame nothing is kept.
     """
-    if not is_given(path):
-        return LeftPoses(None)
-    try:
-        table = _table(path, form)
-    except InputError as error:
-        return LeftPoses(None, Ending(EndKind.UNREADABLE, f"{error.where}: {error.problem}", error.remedy))
-    frames, fault = _frames_of(path, table, form, sequence) if len(table) else (np.empty(0, int), None)
-    if fault is not None:
-        return LeftPoses(None, fault)
-    T = _matrices(table, form)
-    finite = np.isfinite(T).all(axis=(1, 2))
-    skewed = finite.copy()
-    skewed[finite] = _no_rotations(T[finite])
-    if skewed.any():
-        remedy = f"write `{_COLUMNS[form]}`, with rotations"
-        return LeftPoses(None, Ending(EndKind.UNREADABLE, f"{_row(path, skewed)}: is no pose", remedy))
-    fault = FINISHED
-    if not finite.all():
-        remedy = "leave out frames without a pose"
-        fault = Ending(EndKind.NOT_FINITE, f"{_row(path, ~finite)}: the pose is not finite", remedy)
-    kept, first = np.unique(frames[finite], return_index=True)
-    found = MapTrajectory(map_id, kept, sequence.stamps_s[kept], T[finite][first]) if len(kept) else None
-    return LeftPoses(found, fault)
+    pattern = re.compile(re.escape(name).replace(r"\*", r"(\d{1,9})"))
+    named = ((pattern.fullmatch(file.relative_to(folder).as_posix()), file) for file in folder.glob(name))
+    files = (
+        sorted((int(match[1]), file) for match, file in named if match)
+        if "*" in name
+        else [(0, folder / name)]
+    )
+    found = []
+    for map_id, file in files:
+        if is_given(file):
+            with noted(faults, file.name, f"write `{_COLUMNS[form]}`"):
+                frames, T = _poses(file, form, sequence, faults)
+                if len(frames):
+                    found.append(MapTrajectory(map_id, frames, sequence.stamps_s[frames], T))
+    return tuple(sorted(found, key=lambda path: -len(path.frames)))
 
 
-def read_frames(path: Path, sequence: Sequence) -> LeftFrames:
-    """Read the CSV of the frames; arguments and faults as :func:`read_poses`."""
-    found = LeftFrames()
+def read_frames(path: Path, sequence: Sequence, faults: list[Ending]) -> dict[int, dict[str, Any]]:
+    """Read the CSV of the frames: by index ``state``, a word of the system's own, and NUMBERS."""
+    found: dict[int, dict[str, Any]] = {}
     if not is_given(path):
         return found
-    try:
+    with noted(faults, f"{path.name}: is no table of frames", "write stamp_s,state,ms,cpu_ms"):
         table = csv.DictReader(io.StringIO(read_text(path, TABLE_BYTES)))
         if "stamp_s" not in (table.fieldnames or ()):
             raise InputError(str(path), "has no column stamp_s", "write a header with stamp_s")
@@ -117,16 +98,28 @@ def read_frames(path: Path, sequence: Sequence) -> LeftFrames:
             raise ValueError("a stamp is not finite")
         near = nearest(sequence.stamps_s, stamps_s, _tolerance_s(sequence)) if rows else []
         for frame, row in zip(map(int, near), rows, strict=True):
-            if frame < 0:
-                continue
-            found.states[frame] = (row.get("state") or "").strip()
-            found.numbers[frame] = {n: of(row[n]) for n, of in NUMBERS.items() if row.get(n)}
-    except InputError as error:
-        return LeftFrames(fault=Ending(EndKind.UNREADABLE, f"{error.where}: {error.problem}", error.remedy))
-    except (ValueError, TypeError, csv.Error) as error:
-        message = " ".join(f"{path.name}: is no table of frames ({error})".split())
-        return LeftFrames(fault=Ending(EndKind.UNREADABLE, message, "write stamp_s,state,ms,cpu_ms"))
-    return found
+            if frame >= 0:
+                numbers = {n: of(row[n]) for n, of in NUMBERS.items() if row.get(n)}
+                found[frame] = {"state": (row.get("state") or "").strip(), **numbers}
+        return found
+    return {}
+
+
+def _poses(path: Path, form: str, sequence: Sequence, faults: list[Ending]) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) frames, increasing, and (n, 4, 4) their poses."""
+    table = _table(path, form)
+    frames, T = _frames_of(path, table, form, sequence), _matrices(table, form)
+    finite = np.isfinite(T).all(axis=(1, 2))
+    skewed = finite.copy()
+    skewed[finite] = _no_rotations(T[finite])
+    if skewed.any():
+        remedy = f"write `{_COLUMNS[form]}`, with rotations"
+        raise LeftFaultError(EndKind.UNREADABLE, f"{_row(path, skewed)}: is no pose", remedy)
+    if not finite.all():
+        message, remedy = f"{_row(path, ~finite)}: the pose is not finite", "leave out frames without a pose"
+        faults.append(Ending(EndKind.NOT_FINITE, message, remedy))
+    kept, first = np.unique(frames[finite], return_index=True)
+    return kept, T[finite][first]
 
 
 def _row(path: Path, faulty: np.ndarray) -> str:
@@ -159,24 +152,23 @@ def _numbers(where: str, words: list[str], count: int, names: str) -> list[float
         raise InputError(where, f"{' '.join(words)[:60]!r} are no numbers", f"write `{names}`") from None
 
 
-def _frames_of(
-    path: Path, table: np.ndarray, form: str, sequence: Sequence
-) -> tuple[np.ndarray, Ending | None]:
-    """Index of each row's frame, or what is wrong with the stamps."""
+def _frames_of(path: Path, table: np.ndarray, form: str, sequence: Sequence) -> np.ndarray:
+    """Index of each row's frame."""
     if form == "kitti":
-        if len(table) != len(sequence):
+        if len(table) not in (0, len(sequence)):
             problem = f"{path.name}: has {len(table)} rows, the sequence has {len(sequence)} frames"
-            return np.empty(0, int), Ending(EndKind.OTHER_STAMPS, problem, "write a row per frame")
-        return np.arange(len(table)), None
+            raise LeftFaultError(EndKind.OTHER_STAMPS, problem, "write a row per frame")
+        return np.arange(len(table))
     stamps_s = table[:, 0] / (1e9 if form == "euroc" else 1.0)
     known = np.isfinite(stamps_s)
     frames = np.full(len(table), -1)
-    frames[known] = nearest(sequence.stamps_s, stamps_s[known], _tolerance_s(sequence))
+    if known.any():
+        frames[known] = nearest(sequence.stamps_s, stamps_s[known], _tolerance_s(sequence))
     if (frames < 0).any():
         first = int(np.flatnonzero(frames < 0)[0])
         problem = f"{path.name}: row {first + 1}: {stamps_s[first]:.6f} s is the time of no frame"
-        return frames, Ending(EndKind.OTHER_STAMPS, problem, "keep the stamps of the frames")
-    return frames, None
+        raise LeftFaultError(EndKind.OTHER_STAMPS, problem, "keep the stamps of the frames")
+    return frames
 
 
 def _matrices(table: np.ndarray, form: str) -> np.ndarray:
