@@ -54,13 +54,11 @@ def filled(page: str) -> str:
 
 def write_site(folder: Path) -> None:
     """Write the source of the site into a folder, which is emptied before."""
-    from direct_pictures import draw_direct_pictures
     from stress_pictures import draw_pictures
 
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(HERE, folder, ignore=shutil.ignore_patterns(*NOT_ON_THE_SITE))
     draw_pictures(folder / "stress")
-    draw_direct_pictures(folder / "direct")
     for name in EXPERIMENTS:
         write_experiment_report(name, folder / name)
     for page in folder.rglob("*.md"):

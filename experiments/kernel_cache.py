@@ -10,34 +10,30 @@ import sys
 import tempfile
 from pathlib import Path
 
-VARIABLE, _LOCATORS = "NUMBA_CACHE_DIR", "NUMBA_CACHE_LOCATOR_CLASSES"
+VARIABLE = "NUMBA_CACHE_DIR"
 
 
 def choose_kernel_cache() -> None:
-    """Where numba could not keep kernels, point it to a folder on the temporary disk, else to none."""
-    if os.environ.get(VARIABLE) or os.environ.get(_LOCATORS) or any(map(_writable, _numbas_own())):
+    """Where numba could not keep kernels, point it to a folder on the temporary disk; say so if it is new."""
+    if os.environ.get(VARIABLE) or any(map(_writable, _numbas_own())):
         return
-    folder, is_new = _private_folder()
-    if folder is None:
-        os.environ[_LOCATORS] = "dslab.experiments.uncached_kernels.NoCache"
-        return
-    os.environ[VARIABLE] = str(folder)
+    folder = Path(tempfile.gettempdir()) / f"dslab-kernels-{os.getuid()}"
+    is_new = not os.path.lexists(folder)
     if is_new:
-        say(f"kernels are kept in {folder}: neither the installation nor the home folder can be written")
-
-
-def say(line: str) -> None:
-    """Print a line on stderr, in the first process only."""
-    from multiprocessing import parent_process
-
-    if parent_process() is None and sys.stderr is not None:
-        print(line, file=sys.stderr)
+        folder.mkdir(mode=0o700)
+    state = folder.lstat()
+    private = stat.S_ISDIR(state.st_mode) and not stat.S_IMODE(state.st_mode) & 0o077
+    if not private or state.st_uid != os.getuid():  # kernels are code: others must not write there
+        folder, is_new = Path(tempfile.mkdtemp(prefix="dslab-kernels-")), True
+    os.environ[VARIABLE] = str(folder)
+    if is_new and sys.stderr is not None:
+        problem = "neither the installation nor the home folder can be written"
+        print(f"kernels are kept in {folder}: {problem}", file=sys.stderr)
 
 
 def _numbas_own() -> list[Path]:
-    package = Path(__file__).parent
     home = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
-    return [package / "__pycache__", home / "numba"]
+    return [Path(__file__).parent / "__pycache__", home / "numba"]
 
 
 def _writable(folder: Path) -> bool:
@@ -50,16 +46,3 @@ def _writable(folder: Path) -> bool:
             return True
     except OSError:
         return False
-
-
-def _private_folder() -> tuple[Path | None, bool]:
-    """A folder of this user alone, as kernels are code; None if there is none. And whether it is new."""
-    try:
-        folder = Path(tempfile.gettempdir()) / f"dslab-kernels-{os.getuid()}"
-        is_new = not os.path.lexists(folder)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        state = folder.lstat()
-    except OSError:
-        return None, False
-    private = stat.S_ISDIR(state.st_mode) and not stat.S_IMODE(state.st_mode) & 0o077
-    return (folder, is_new) if private and state.st_uid == os.getuid() else (None, False)
