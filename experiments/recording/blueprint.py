@@ -8,7 +8,6 @@ import rerun.blueprint as rrb
 
 from dslab.experiments.evaluation.scene import Scene
 from dslab.experiments.recording.drawing import INJECTED, SYSTEMS
-from dslab.experiments.recording.key import key_rows, key_view
 from dslab.experiments.recording.stream import part
 from dslab.experiments.runs.execution import RunRecord
 from dslab.slam.core.events import Breakage
@@ -27,6 +26,7 @@ def make_blueprint(
     shrink: float,
     lanes: int,
     residuals: dict[str, dict[int, float]],
+    key: rrb.Spatial2DView,
 ) -> rrb.Blueprint:
     """Make the layout for runs over one sequence.
 
@@ -39,6 +39,7 @@ def make_blueprint(
         shrink: scale of the recorded images relative to the input images.
         lanes: number of lanes of the timeline.
         residuals: root mean square by frame, of every system; empty unless it is a direct one.
+        key: view of the key of the colours.
     """
     camera = records[0].sequence.camera
     size = camera.width_px * shrink, camera.height_px * shrink
@@ -73,10 +74,10 @@ def make_blueprint(
             ),
             rrb.Vertical(
                 rrb.Horizontal(*[_world_view(kind, scene) for kind in kinds]),
-                key_view(bool(direct)),
+                key,
                 rrb.Horizontal(*[_image_view(kind, *size, kind in direct) for kind in kinds]),
                 log,
-                row_shares=[9, 1.3 * key_rows(bool(direct)), 7, 5],
+                row_shares=[9, 4 if direct else 2.6, 7, 5],
             ),
             column_shares=[6, 8],
         ),

@@ -32,20 +32,14 @@ _TEXTS = {
 
 
 _COLORS = {
-    "breakage": palette.LOST,
-    "poses_withdrawn": palette.REFUSED,
-    "map_dropped": palette.REFUSED,
-    "relocalized": palette.FUSED,
-    "recovery_start": palette.RECOVERY,
-    "relocalization_withdrawn": palette.REFUSED,
-    "loop_refused": palette.REFUSED,
-    "rescue_start": palette.RECOVERY,
-    "rescue_end": palette.FUSED,
-    "rescue_failed": palette.REFUSED,
-    "recovery_failed": palette.REFUSED,
-    "fusion": palette.FUSED,
-    "fusion_refused": palette.REFUSED,
-}
+    palette.LOST: ("breakage",),
+    palette.RECOVERY: ("recovery_start", "rescue_start"),
+    palette.FUSED: ("fusion", "relocalized", "rescue_end"),
+    palette.REFUSED: (
+        "poses_withdrawn", "map_dropped", "relocalization_withdrawn", "loop_refused", "rescue_failed",
+        "recovery_failed", "fusion_refused",
+    ),
+}  # fmt: skip
 
 
 def describe_event(event: Event) -> tuple[str, Color]:
@@ -57,4 +51,5 @@ def describe_event(event: Event) -> tuple[str, Color]:
     elif fields.get("accepted") is False:
         kind = "fusion_refused"
     words = {name: v.replace("_", " ") if isinstance(v, str) else v for name, v in fields.items()}
-    return _TEXTS.get(kind, kind.replace("_", " ")).format(**words), _COLORS.get(kind, palette.PLAIN)
+    color = next((color for color, kinds in _COLORS.items() if kind in kinds), palette.PLAIN)
+    return _TEXTS.get(kind, kind.replace("_", " ")).format(**words), color

@@ -99,9 +99,9 @@ class Recording:
             drawing = RunDrawing(self._stream, record, scenes[place], scene.extent, self._shrink)
             drawing.draw(watcher.snapshots, watcher.residuals, palette.system_color(place))
         residuals = {system: watcher.residuals for system, watcher in self._watchers.items()}
-        draw_key(self._stream, any(residuals.values()))
+        key = draw_key(self._stream, palette.KEY | (palette.DIRECT_KEY if any(residuals.values()) else {}))
         lanes = self._draw_lanes(records)
-        self._stream.blueprint(make_blueprint(records, scene, self._shrink, lanes, residuals))
+        self._stream.blueprint(make_blueprint(records, scene, self._shrink, lanes, residuals, key))
 
     def _draw_lanes(self, records: Many[RunRecord]) -> int:
         """Draw the lanes of segments and systems; returns their number."""

@@ -24,7 +24,7 @@ PER_SYSTEM = (
     "/world/{}/camera", "/world/{}/map_0/path", "/world/{}/map_0/points", "/world/{}/map_0/keyframes",
     "/world/{}/lost", "/world/{}/recovered", "/world/{}/marks/labels",
     "/camera/{}/features", "/camera/{}/inliers", "/plots/inliers/{}", "/plots/ms/{}",
-    "/slam/{}/tracking", "/slam/{}/final_poses", "/events/{}",
+    "/slam/{}/tracking", "/events/{}",
 )  # fmt: skip
 
 
