@@ -11,9 +11,9 @@ import pandas as pd
 
 from dslab.experiments.kernels import compile_kernels
 from dslab.experiments.plugins import load_plugins
-from dslab.experiments.result_folder import execute_recorded
 from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
 from dslab.experiments.runs.systems.registry import Registry
+from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.spec import Scenario
 from dslab.sim.sequence import Sequence
 from dslab.slam.config import SlamConfig
@@ -29,24 +29,14 @@ if TYPE_CHECKING:
     from dslab.experiments.eq1.spec import ExperimentSpec
 
 _COLUMNS = (
-    "share_tracked",
-    "maps",
-    "breakages",
-    "recoveries",
-    "relocalizations",
-    "ate_m",
-    "path_share",
+    "share_tracked", "maps", "breakages", "recoveries", "relocalizations", "ate_m", "path_share",
     "cpu_ms_median",
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Run:
-    """A finished run of one system over one sequence.
-
-    Attributes:
-        record: everything that was kept of it.
-    """
+    """A finished run of one system over one sequence; ``record`` is everything that was kept of it."""
 
     record: RunRecord
 
@@ -63,7 +53,7 @@ class Run:
     @property
     def trajectory(self) -> MapTrajectory | None:
         """Final path of the map with most frames, camera to map; None without a map."""
-        return self.record.trajectories[0] if self.record.trajectories else None
+        return next(iter(self.record.trajectories), None)
 
     @property
     def trajectories(self) -> tuple[MapTrajectory, ...]:
@@ -83,14 +73,10 @@ class Run:
         return summarise(self.record)
 
     def plot(self, path: str | Path | None = None) -> "Figure":
-        """Draw sample frames, the path over the truth and the inliers over time.
-
-        Args:
-            path: PNG file to write as well.
-        """
+        """Draw sample frames, the path over the truth and inliers over time; ``path`` is of a PNG file."""
         from dslab.experiments.pictures.run_picture import runs_figure
 
-        figure = runs_figure({self.record.system_kind: self.record})
+        figure = runs_figure({self.system: self.record})
         if path is not None:
             figure.savefig(path)
         return figure
@@ -135,35 +121,36 @@ def run(
     Raises:
         InputError: the system is unknown, or the sequence is not valid.
     """
+    from dslab.experiments.runs.sources import open_sequence
+    from dslab.sim.sequence_rendering import render_sequence
+
     load_plugins()
     compile_kernels()
     plugin = Registry.open().find(system) if isinstance(system, str) and system not in SYSTEMS else None
-    opened = _opened(sequence, seed)
-    seed = int(opened.meta.get("seed", 0)) if seed is None else seed
+    if isinstance(sequence, Scenario):
+        sequence = render_sequence(sequence)
+    elif not isinstance(sequence, Sequence):
+        sequence = open_sequence(str(sequence), seed)
+    seed = int(sequence.meta.get("seed", 0)) if seed is None else seed
+    if plugin is not None:
+        return Run(run_system(plugin, sequence, seed, progress=progress))
     build = system_factory(mode, dual, config) if isinstance(system, str) else system
     name: Any = system if isinstance(system, str) else getattr(system, "__name__", "own")
-    if plugin is not None:
-        show = None if progress is None else (lambda step, done, total: progress(done, total))
-        records = execute_recorded(opened, [plugin.name], seed, progress=show, plugins={plugin.name: plugin})
-        return Run(records[plugin.name])
-    return Run(execute(opened, name, seed, None, progress, build))
+    return Run(execute(sequence, name, seed, None, progress, build))
 
 
 def compare(runs: Iterable[Run]) -> pd.DataFrame:
-    """Tabulate runs: one row each, by sequence and system.
+    """Tabulate finished runs: one row each, by sequence and system.
 
     Accuracy is to be read beside completeness: a system that is lost early has little left to be wrong about.
-
-    Args:
-        runs: finished runs.
     """
+    keys = ["sequence", "system", "seed"]
     rows = [
         {"sequence": run.metrics["sequence"], "system": run.system, "seed": run.record.seed}
         | {name: run.metrics[name] for name in _COLUMNS}
         for run in runs
     ]
-    table = pd.DataFrame(rows, columns=["sequence", "system", "seed", *_COLUMNS])
-    return table.set_index(["sequence", "system", "seed"]).astype({"ate_m": np.float64})
+    return pd.DataFrame(rows, columns=[*keys, *_COLUMNS]).set_index(keys).astype({"ate_m": np.float64})
 
 
 def run_experiment(
@@ -195,15 +182,3 @@ def run_experiment(
     spec = load_spec(experiment) if isinstance(experiment, str | Path) else experiment
     units = unit_workers(spec, workers=workers)
     return run_units(spec, Path(folder), units.open, show=progress, digests=units.digests)
-
-
-def _opened(sequence: Sequence | Scenario | str | Path, seed: int | None) -> Sequence:
-    if isinstance(sequence, Sequence):
-        return sequence
-    if isinstance(sequence, Scenario):
-        from dslab.sim.sequence_rendering import render_sequence
-
-        return render_sequence(sequence)
-    from dslab.experiments.runs.sources import open_sequence
-
-    return open_sequence(str(sequence), seed)

@@ -1,11 +1,10 @@
 """Result folders: runs of one or several systems over one sequence."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from collections.abc import Sequence as Many
 from contextlib import nullcontext
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs.execution import AtEnd, RunRecord, SystemFactory
@@ -13,7 +12,7 @@ from dslab.experiments.runs.files import to_json, write_events, write_frames_csv
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.systems.registry import OwnSystem, System
 from dslab.experiments.runs.systems.run import run_system
-from dslab.sim.io.folders import Progress, new_directory
+from dslab.sim.io.folders import Progress
 from dslab.sim.io.truth import tum_poses_text
 from dslab.sim.sequence import Sequence
 
@@ -66,93 +65,29 @@ def run_systems(
         ValueError: a recording is requested in real time, which it would disturb.
         InputError: a frame cannot be read, or a program cannot be started.
     """
+    if real_time and recording:
+        raise ValueError("a recording would take time from the frames")
     own = {kind: folder if len(systems) == 1 else folder / kind for kind in systems}
-    for place in own.values():
-        place.mkdir(exist_ok=True)
-    records = execute_recorded(
-        sequence,
-        systems,
-        seed,
-        folder / RECORDING_FILE if recording else None,
-        progress,
-        build,
-        real_time,
-        (lambda kind: _map_writer(own[kind] / MAP_DIR)) if maps else (lambda kind: None),
-        plugins,
-        own.__getitem__,
-    )
+    records: dict[str, RunRecord] = {}
+    with _recording(folder / RECORDING_FILE, sequence, systems) if recording else nullcontext() as recorded:
+        for kind in systems:
+            own[kind].mkdir(exist_ok=True)
+            step = f"SLAM ({kind})"
+            records[kind] = run_system(
+                (plugins or {}).get(kind, OwnSystem(kind)), sequence, seed, build, own[kind],
+                observer=recorded and recorded.watch(kind),
+                progress=progress and (lambda done, total, step=step: progress(step, done, total)),
+                pace=RealTime(sequence) if real_time else None,
+                at_end=_map_writer(own[kind] / MAP_DIR) if maps else None,
+            )  # fmt: skip
+        if recorded is not None:
+            recorded.finish(list(records.values()))
     summaries: dict[str, dict] = {kind: summarise(record) for kind, record in records.items()}
     for kind, record in records.items():
         write_run(own[kind], record, summaries[kind])
     if len(systems) > 1:
         _draw(folder, records)
     return summaries
-
-
-def run_sequence(
-    sequence: Sequence, system: str, seed: int, out_dir: Path, recording: bool = False, **options: Any
-) -> dict:
-    """Run one system and write its result folder, whole or not at all.
-
-    Args:
-        sequence, system, seed, recording, options: as of :func:`run_systems`.
-        out_dir: the result folder, absent or empty.
-
-    Returns:
-        The summary, as in summary.json.
-
-    Raises:
-        InputError: as :func:`run_systems`, or the folder is taken.
-    """
-    with new_directory(Path(out_dir)) as folder:
-        return run_systems(sequence, [system], seed, folder, recording, **options)[system]
-
-
-def execute_recorded(
-    sequence: Sequence,
-    systems: Many[str],
-    seed: int,
-    recording_path: Path | None = None,
-    progress: Progress | None = None,
-    build: SystemFactory | None = None,
-    real_time: bool = False,
-    at_end: Callable[[str], AtEnd | None] = lambda kind: None,
-    plugins: Mapping[str, System] | None = None,
-    folder_of: Callable[[str], Path] | None = None,
-) -> dict[str, RunRecord]:
-    """Run systems one after the other and, given a path, record them there together.
-
-    Arguments as of :func:`run_systems`; ``folder_of`` gives the folder of a program's log, by default none
-    that stays.
-    """
-    if real_time and recording_path is not None:
-        raise ValueError("a recording would take time from the frames")
-    show = progress or (lambda step, done, total: None)
-    plugins = plugins or {}
-    records: dict[str, RunRecord] = {}
-    path = recording_path
-    with nullcontext() if path is None else _open_recording(path, sequence, systems) as recording:
-        for kind in systems:
-            watcher = None if recording is None else recording.watch(kind)
-            shown = partial(_show_run, show, kind)
-            records[kind] = run_system(
-                plugins.get(kind, OwnSystem(kind)),
-                sequence,
-                seed,
-                build,
-                None if folder_of is None else folder_of(kind),
-                watcher,
-                shown,
-                RealTime(sequence) if real_time else None,
-                at_end(kind),
-            )
-        if recording is not None:
-            recording.finish(list(records.values()))
-    return records
-
-
-def _show_run(show: Progress, kind: str, done: int, total: int) -> None:
-    show(f"SLAM ({kind})", done, total)
 
 
 def write_run(folder: Path, record: RunRecord, summary: dict, picture: bool = True) -> None:
@@ -179,7 +114,7 @@ def _draw(folder: Path, records: Mapping[str, RunRecord]) -> None:
     draw_runs(folder / PICTURE_FILE, records)
 
 
-def _open_recording(path: Path, sequence: Sequence, systems: Many[str]) -> "Recording":
+def _recording(path: Path, sequence: Sequence, systems: Many[str]) -> "Recording":
     from dslab.experiments.recording import Recording
 
     return Recording(path, sequence, systems)

@@ -16,12 +16,14 @@ from dslab.experiments.batch.spec import BatchSpec
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import Owner, ledger_of
 from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
-from dslab.experiments.result_folder import execute_recorded, write_run
+from dslab.experiments.result_folder import write_run
 from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
 from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.registry import Registry, System, system_digest
+from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder
 from dslab.scenarios.loading import load_scenario
@@ -133,21 +135,14 @@ def make_run(job: Job) -> Row:
         InputError: the sequence cannot be read, or the system not be started.
     """
     spec = job.spec
-    plugins = Registry.open(job.folders).find_all([job.system])
-    (name,) = plugins
+    system = Registry.open(job.folders).find(job.system)
     # What a killed batch has left of this run.
     with suppress(OSError):
         rmtree(job.folder)
     with scratch_folder() as scratch, new_directory(job.folder) as folder:
-        record = execute_recorded(
-            _frames(job, scratch),
-            [name],
-            job.about["seed"],
-            build=spec.build,
-            real_time=spec.real_time,
-            plugins=plugins,
-            folder_of=lambda _: folder,
-        )[name]
+        frames = _frames(job, scratch)
+        pace = RealTime(frames) if spec.real_time else None
+        record = run_system(system, frames, job.about["seed"], spec.build, folder, pace=pace)
         summary = summarise(record)
         if not is_folder(job.scene[0]):
             add_overlaps(record, summary["breakage_list"], load_scenario(*job.scene))

@@ -16,6 +16,7 @@ app = typer.Typer(
     help="SLAM systems to run: ours, classes of your own, programs of other people. See them, check them, "
     "install them.",
 )
+_LOG_CHARACTERS = 2000
 _OURS = {
     "base": "ORB-SLAM's method",
     "dual": "Dual-SLAM",
@@ -47,18 +48,13 @@ def list_command(systems_dir: SystemsOption = None) -> None:
 @app.command("check")
 def check_command(
     name: NameArgument,
-    source: Annotated[
-        str | None,
-        typer.Option(
-            help="A sequence folder or scenario to run it on; a few made-up frames.", show_default=False
-        ),
-    ] = None,
+    source: Annotated[str, typer.Option(help="A sequence folder or scenario.")] = "small/corridor",
     systems_dir: SystemsOption = None,
 ) -> None:
-    """Run a system over a few frames and say whether what it gives can be used.
+    """Run a system over a short sequence and say whether what it gives can be used.
 
     Ends with exit code 2 and one line if it cannot be started, does not end well, or leaves other files than
-    its description says. Whether it tracks is another matter: the made-up frames are few. For example:
+    its description says. For example:
 
     `dslab systems check orbslam3`
 
@@ -67,16 +63,19 @@ def check_command(
     from dslab.experiments.evaluation.summary import is_tracked
     from dslab.experiments.runs.ending import EndKind
     from dslab.experiments.runs.sources import open_sequence
-    from dslab.experiments.runs.systems.check import made_up_sequence, run_once
+    from dslab.experiments.runs.systems.command import LOG_FILE
     from dslab.experiments.runs.systems.registry import Registry
+    from dslab.experiments.runs.systems.run import run_system
+    from dslab.sim.unfinished import scratch_folder
 
     system = Registry.open(systems_dir or ()).find(name)
-    with progress_bars() as show:
-        sequence = made_up_sequence() if source is None else open_sequence(source, progress=show)
-        record, log = run_once(system, sequence)
+    with progress_bars() as show, scratch_folder() as scratch:
+        record = run_system(system, open_sequence(source, progress=show), 0, folder=scratch)
+        log = scratch / LOG_FILE
+        printed = log.read_text(errors="replace")[-_LOG_CHARACTERS:] if log.exists() else ""
     ending = record.ending
     if ending.kind is not EndKind.FINISHED:
-        out.print(log, end="" if log.endswith("\n") or not log else "\n")
+        out.print(printed, end="" if printed.endswith("\n") or not printed else "\n")
         remedy = ending.remedy or "see what it prints"
         raise InputError(f"system {system.name}", f"{ending.kind}: {ending.message}", remedy)
     print_facts(

@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from dslab.experiments.result_folder import run_systems
+from dslab.sim.io.folders import new_directory
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import SegmentTruth, Sequence
 from dslab.slam.core import events as ev
@@ -256,3 +258,9 @@ class FakeSystem:
 def fake_factory(sequence: Sequence, **script):
     """A ``build`` function for runs over ``sequence``."""
     return lambda kind, camera, seed: FakeSystem(sequence.T_world_cam, kind=kind, **script)
+
+
+def run_sequence(sequence, system, seed, out_dir, recording=False, **options):
+    """Run one system and write its result folder; the summary. Options as of ``run_systems``."""
+    with new_directory(out_dir) as folder:
+        return run_systems(sequence, [system], seed, folder, recording, **options)[system]

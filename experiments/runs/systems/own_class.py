@@ -10,6 +10,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
+from dslab.experiments.plugins import of_others
 from dslab.experiments.runs.systems.poses_only import PosesOnly
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.camera import PinholeCamera
@@ -39,11 +40,8 @@ class ClassSystem:
         Raises:
             InputError: its constructor raises, or makes an object without ``process``.
         """
-        try:
+        with of_others(self.source, "cannot be made with (camera, seed)", "correct its constructor"):
             made = self.make(camera, seed)
-        except Exception as error:  # another's code
-            problem = f"cannot be made with (camera, seed) ({type(error).__name__}: {error})"
-            raise InputError(self.source, problem, "correct its constructor") from error
         if not callable(getattr(made, "process", None)):
             raise InputError(self.source, "has no process(image, stamp_s)", "see `examples/own_slam.py`")
         return PosesOnly(made, camera, self.source)
@@ -62,11 +60,8 @@ def class_system(named: str) -> ClassSystem:
     """
     module_name, _, class_name = named.rpartition(":")
     where = f"system {named}"
-    try:
+    with of_others(where, "cannot be imported", "check its name and its imports"):
         module = _file_module(module_name) if module_name.endswith(".py") else _module(module_name)
-    except Exception as error:  # another's code
-        problem = f"cannot be imported ({type(error).__name__}: {error})"
-        raise InputError(where, " ".join(problem.split()), "check its name and its imports") from error
     return ClassSystem(class_name, _callable(getattr(module, class_name, None), where), named)
 
 
@@ -78,11 +73,8 @@ def entry_point_names() -> dict[str, EntryPoint]:
 def entry_point_system(point: EntryPoint) -> ClassSystem:
     """The class of an entry point. Raises InputError if it cannot be loaded."""
     where = f"system {point.name} ({point.value})"
-    try:
+    with of_others(where, "cannot be loaded", "correct or uninstall it"):
         found = point.load()
-    except Exception as error:  # another's code
-        problem = f"cannot be loaded ({type(error).__name__}: {error})"
-        raise InputError(where, " ".join(problem.split()), "correct or uninstall it") from error
     return ClassSystem(point.name, _callable(found, where), point.value)
 
 

@@ -46,7 +46,7 @@ def test_a_signal_is_one_line_and_128_plus_its_number_and_leaves_nothing(
         os.kill(os.getpid(), number)
         wait_for_the_signal()
 
-    monkeypatch.setattr("dslab.experiments.result_folder.execute_recorded", signalled)
+    monkeypatch.setattr("dslab.experiments.result_folder.run_system", signalled)
     number = getattr(signal, sent)
     if signal.getsignal(number) is signal.SIG_IGN:  # these tests may run in the background, or under nohup
         signal.signal(number, signal.default_int_handler)

@@ -10,12 +10,11 @@ import cv2
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
-from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence
+from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence, run_sequence
 
 from dslab.experiments.evaluation.scene import lay_out
 from dslab.experiments.recording import Recording, palette
 from dslab.experiments.recording.describe import describe_event
-from dslab.experiments.result_folder import run_sequence
 from dslab.experiments.runs.execution import execute
 from dslab.slam.core.events import Event, RelatingEvent, TrackingState
 from dslab.slam.core.results import PhotometricView

@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from slam_fakes import simulated_camera
+from slam_fakes import run_sequence, simulated_camera
 
-from dslab.experiments.result_folder import run_sequence
 from dslab.experiments.runs.execution import system_factory
 from dslab.sim.sequence import SegmentTruth, Sequence
 from dslab.slam.dual.config import DualConfig

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_fakes import fake_factory, make_sequence
+from slam_fakes import fake_factory, make_sequence, run_sequence
 
-from dslab.experiments.result_folder import run_sequence
 from dslab.experiments.runs.execution import execute
 from dslab.experiments.runs.files import plain
 from dslab.scenarios.errors import InputError

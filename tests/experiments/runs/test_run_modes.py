@@ -7,9 +7,8 @@ import cv2
 import numpy as np
 import pycolmap
 import pytest
-from slam_fakes import fake_factory, make_sequence, simulated_camera
+from slam_fakes import fake_factory, make_sequence, run_sequence, simulated_camera
 
-from dslab.experiments.result_folder import run_sequence
 from dslab.experiments.runs import execution, sources
 from dslab.experiments.runs.execution import system_factory
 from dslab.experiments.runs.map_files import write_maps
