@@ -125,15 +125,6 @@ def settings_yaml() -> str:
     return "\n".join(lines) + "\n"
 
 
-def settings_schema() -> dict[str, Any]:
-    """The JSON Schema of a settings file."""
-    schema = _schema_of(SlamConfig())
-    schema["properties"][_DUAL] = _schema_of(DualConfig())
-    schema["properties"][_DSO] = _schema_of(DsoConfig())
-    schema["properties"][_MODE] = {"enum": list(get_args(Mode)), "description": "how the stages share time"}
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
-
-
 def fields_of(settings: type) -> dict[str, dict[str, Any]]:
     """JSON Schema of each field of a class of settings: meaning, bounds, ``unit`` where there is one."""
     described = TypeAdapter(settings).json_schema()["properties"]
@@ -273,35 +264,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [item.kind if isinstance(item, ThreadSpec) else item for item in value]
     return value
-
-
-def _schema_of(settings: Any) -> dict[str, Any]:
-    hints, described = get_type_hints(type(settings)), fields_of(type(settings))
-    for name, node in described.items():
-        value, nested = getattr(settings, name), _nested(hints[name])
-        if nested is not None:
-            whole = _schema_of(value or nested())
-            shown = whole if NoneType not in _options(hints[name]) else {"anyOf": [whole, {"type": "null"}]}
-        elif hints[name] == tuple[ThreadSpec, ...]:
-            shown = {"type": "array", "items": _thread_schema(), "default": _plain(value)}
-        else:
-            shown = node | {"default": _plain(value)}
-        described[name] = {**shown, "description": node["description"]}
-    return {"type": "object", "properties": described, "additionalProperties": False}
-
-
-def _thread_schema() -> dict[str, Any]:
-    whole = [
-        {
-            "type": "object",
-            "properties": {
-                "kind": {"const": kind},
-                "seed": {"type": "integer", "minimum": 0},
-                "config": {"anyOf": [_schema_of(_thread_defaults(kind)), {"type": "null"}]},
-            },
-            "required": ["kind"],
-            "additionalProperties": False,
-        }
-        for kind in RECOVERY_KINDS
-    ]
-    return {"anyOf": [{"enum": list(RECOVERY_KINDS)}, *whole]}
