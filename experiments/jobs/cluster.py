@@ -78,19 +78,12 @@ class ClusterPool(Pool):
 
     @property
     def busy(self) -> int:
-        """Number of items under way."""
         return len(self._assigned)
 
     def free(self) -> list[str]:
-        """Addresses of the present workers without an item.
-
-        Raises:
-            MachineError: the scheduler is gone.
-        """
         return [worker for worker in self._present() if worker not in self._assigned]
 
     def start(self, item: Any, worker: str) -> None:
-        """Give an item to a free worker."""
         future = self._client.submit(
             run_watched, self._task, item, self._settings.time_s,
             key=f"item-{uuid4().hex}", pure=False, workers=[worker], allow_other_workers=False,
@@ -99,7 +92,6 @@ class ClusterPool(Pool):
         future.add_done_callback(lambda _: self._ended.put(worker))
 
     def wait(self, timeout_s: float) -> list[Ended]:
-        """Items that have ended since the last call, in no particular order; none after a timeout."""
         workers: list[str] = []
         with suppress(queue.Empty):
             workers.append(self._ended.get(timeout=timeout_s))

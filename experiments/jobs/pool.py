@@ -198,16 +198,14 @@ class ProcessPool(Pool):
 
     @property
     def busy(self) -> int:
-        """Number of items under way."""
         return sum(worker.started_s > 0 for worker in self._workers.values())
 
     def free(self) -> list[str]:
-        """Names of the workers without an item."""
         names = [str(number + 1) for number in range(self._settings.workers)]
         return [name for name in names if name not in self._workers or not self._workers[name].started_s]
 
     def start(self, item: Any, worker: str) -> None:
-        """Give an item to a free worker; one that has died, or holds too much memory, is replaced first."""
+        # One that has died, or holds too much memory, is replaced first.
         held = self._workers.get(worker)
         if held is not None and (not held.process.is_alive() or self._is_over(held)):
             self._workers.pop(worker).end()
@@ -219,7 +217,6 @@ class ProcessPool(Pool):
             held.pipe.send(item)
 
     def wait(self, timeout_s: float) -> list[Ended]:
-        """Items that have ended since the last call, in no particular order; none after a timeout."""
         until_s = time.monotonic() + timeout_s
         while True:
             under_way = {name: worker for name, worker in self._workers.items() if worker.started_s}

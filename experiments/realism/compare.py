@@ -13,9 +13,9 @@ from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.realism.measures import MEASURES, frame_statistics, live_residuals, map_statistics
 from dslab.experiments.runs.execution import SlamSystem, execute
 from dslab.experiments.runs.files import plain, to_json
-from dslab.experiments.runs.sources import Progress, open_sequence
+from dslab.experiments.runs.sources import open_sequence
 from dslab.scenarios.errors import InputError
-from dslab.sim.io.folders import check_free, new_directory
+from dslab.sim.io.folders import Progress, check_free, new_directory
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.events import CameraRefined, TrackingState
 from dslab.slam.core.results import TrackingResult

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence as Many
 from pathlib import Path
-from typing import Protocol, Self, runtime_checkable
+from typing import Self
 
 import cv2
 import numpy as np
@@ -34,15 +34,6 @@ _IMAGE_WIDTH_PX = 640
 _SNAPSHOT_S = 0.5
 _MAX_POINTS = 3000
 _MAX_RESIDUALS = 1500
-
-
-@runtime_checkable
-class DirectSystem(Protocol):
-    """A system that compares intensities, and shows which."""
-
-    def photometric_view(self, image: np.ndarray) -> PhotometricView | None:
-        """The comparison of the frame processed last, which is ``image``; None if there is none."""
-        ...
 
 
 class Recording:
@@ -171,8 +162,8 @@ class SystemRecorder:
         self._state = result.state
         if changed or result.frame % self._recording.stride == 0:
             self._recording.show_image(result.frame, image)
-            if isinstance(system, DirectSystem):
-                self._show_residuals(image, result.frame, system)
+            if hasattr(system, "photometric_view"):  # one that compares intensities
+                self._show_residuals(result.frame, system.photometric_view(image) or PhotometricView.none())
             else:
                 self._recording.show_features(self._system, result)
         if is_tracked(result) and result.stamp_s >= self._next_snapshot_s and result.map_id in system.maps():
@@ -180,8 +171,7 @@ class SystemRecorder:
             points = thin(system.map_points(result.map_id), _MAX_POINTS).astype(np.float32)
             self.snapshots.append(MapSnapshot(result.frame, result.map_id, points, self._window))
 
-    def _show_residuals(self, image: np.ndarray, frame: int, system: DirectSystem) -> None:
-        view = system.photometric_view(image) or PhotometricView.none()
+    def _show_residuals(self, frame: int, view: PhotometricView) -> None:
         self._window = view.keyframes
         if frame not in view.keyframes:  # a keyframe is compared with itself
             squares = view.residual.astype(float) ** 2

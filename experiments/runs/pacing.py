@@ -1,35 +1,11 @@
 """Feeding frames in real time, with late ones dropped."""
 
 import time
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 
 from dslab.sim.sequence import Sequence
-
-
-class Clock(Protocol):
-    """Source of time."""
-
-    def now_s(self) -> float:
-        """Seconds since some fixed moment."""
-        ...
-
-    def wait_until(self, moment_s: float) -> None:
-        """Return when ``now_s`` has reached the moment; at once if it has passed."""
-        ...
-
-
-class WallClock:
-    """The system's monotonic clock."""
-
-    def now_s(self) -> float:
-        """Seconds since some fixed moment."""
-        return time.perf_counter()
-
-    def wait_until(self, moment_s: float) -> None:
-        """Sleep until the moment."""
-        time.sleep(max(0.0, moment_s - self.now_s()))
 
 
 class RealTime:
@@ -42,25 +18,26 @@ class RealTime:
 
     Args:
         sequence: the frames to feed; its median frame interval is the allowed delay.
-        clock: source of time; None for the wall clock.
+        clock: has ``perf_counter`` and ``sleep``, as the module ``time``.
     """
 
-    def __init__(self, sequence: Sequence, clock: Clock | None = None) -> None:
+    def __init__(self, sequence: Sequence, clock: Any = time) -> None:
         self._stamps_s = sequence.stamps_s
-        self._clock = clock or WallClock()
+        self._clock = clock
         steps_s = np.diff(sequence.stamps_s)
         self._interval_s = float(np.median(steps_s)) if len(steps_s) else 1.0 / sequence.camera.fps
         self._started_s: float | None = None
 
     def is_late(self, frame: int) -> bool:
         """True if a frame is too late to be fed."""
-        return self._clock.now_s() - self._due_s(frame) > self._interval_s
+        return self._clock.perf_counter() - self._due_s(frame) > self._interval_s
 
     def wait_for(self, frame: int) -> None:
         """Wait until a frame is due."""
-        self._clock.wait_until(self._due_s(frame))
+        self._clock.sleep(max(0.0, self._due_s(frame) - self._clock.perf_counter()))
 
     def _due_s(self, frame: int) -> float:
-        if self._started_s is None:
-            self._started_s = self._clock.now_s() - float(self._stamps_s[frame] - self._stamps_s[0])
-        return self._started_s + float(self._stamps_s[frame] - self._stamps_s[0])
+        after_s = float(self._stamps_s[frame] - self._stamps_s[0])
+        started_s = self._clock.perf_counter() - after_s if self._started_s is None else self._started_s
+        self._started_s = started_s
+        return started_s + after_s

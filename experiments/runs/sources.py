@@ -1,6 +1,5 @@
 """Open a sequence by a user's name for it: a folder, a scenario, or a scenario file."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,13 +7,11 @@ import numpy as np
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder, is_given
+from dslab.sim.io.folders import Progress
 from dslab.sim.io.video import is_video
 from dslab.sim.room import check_room, images_need
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
 from dslab.sim.sequence import Sequence
-
-Progress = Callable[[str, int, int], None]
-"""Called with the name of the step, frames done and frames in all."""
 
 
 def open_sequence(

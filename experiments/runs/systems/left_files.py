@@ -111,7 +111,7 @@ def _poses(path: Path, form: str, sequence: Sequence, faults: list[Ending]) -> t
     frames, T = _frames_of(path, table, form, sequence), _matrices(table, form)
     finite = np.isfinite(T).all(axis=(1, 2))
     skewed = finite.copy()
-    skewed[finite] = _no_rotations(T[finite])
+    skewed[finite] = no_rotations(T[finite])
     if skewed.any():
         remedy = f"write `{_COLUMNS[form]}`, with rotations"
         raise LeftFaultError(EndKind.UNREADABLE, f"{_row(path, skewed)}: is no pose", remedy)
@@ -189,7 +189,7 @@ def _matrices(table: np.ndarray, form: str) -> np.ndarray:
     return T
 
 
-def _no_rotations(T: np.ndarray) -> np.ndarray:
+def no_rotations(T: np.ndarray) -> np.ndarray:
     """(M,) bool: True where a finite pose has no rotation, or a position beyond sense."""
     R = T[:, :3, :3]
     skew = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) > _MOST_SKEW

@@ -7,12 +7,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from dslab.experiments.runs.ending import Declares, Ending, EndKind
+from dslab.experiments.runs.systems.left_files import no_rotations
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.events import Breakage, Event, TrackingState
 from dslab.slam.core.results import MapTrajectory, TrackingResult
 from dslab.slam.map.map import Map
 
-_MOST_SKEW = 1e-2
 _NO_FEATURES = np.empty((0, 2), np.float32), np.empty(0, bool)
 
 
@@ -155,7 +155,7 @@ class PosesOnly:
         if T.shape == (4, 4) and not np.isfinite(T).all():
             self._end(EndKind.NOT_FINITE, f"{at} is not finite", "return None for a frame without a pose")
             return None
-        if T.shape != (4, 4) or not is_pose(T):
+        if T.shape != (4, 4) or no_rotations(T[None])[0] or not np.allclose(T[3], [0, 0, 0, 1], atol=1e-2):
             remedy = "return T_map_cam (4, 4), a rotation and a position, or None"
             self._end(EndKind.UNREADABLE, f"{at} is no rigid transform", remedy)
             return None
@@ -165,13 +165,6 @@ class PosesOnly:
         """Note the first thing that went wrong."""
         if self.ending.kind is EndKind.FINISHED:
             self.ending = Ending(kind, message, remedy)
-
-
-def is_pose(T: np.ndarray) -> bool:
-    """Return True for a finite (4, 4) rigid transform, printed with two digits or more."""
-    R = T[:3, :3]
-    rigid = np.abs(R @ R.T - np.eye(3)).max() <= _MOST_SKEW and np.linalg.det(R) > 0
-    return bool(rigid and np.allclose(T[3], [0, 0, 0, 1], atol=_MOST_SKEW))
 
 
 def frame_result(
