@@ -4,6 +4,7 @@ Source: Huang et al., "Dual-SLAM: A framework for robust single camera navigatio
 """
 
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -102,61 +103,38 @@ def draw_initialisation(rows: pd.DataFrame) -> Figure | None:
 
 def draw_profiles(rows: pd.DataFrame, folder: Path) -> Figure | None:
     """Figure 7: the frames of every trial that have a pose, upward; a panel per sequence and system."""
-    sources, systems = _shown(rows), _systems(rows)
-    if not sources:
-        return None
-    figure = new_figure(0.8 + 2.3 * len(sources), WIDE_IN)
-    panels = figure.subplots(len(sources), len(systems), squeeze=False, sharey="row")
-    colours = ListedColormap(list(_PARTS.values()))
-    for (y, source), (x, system) in _grid(sources, systems):
-        own = rows[(rows.source == source) & (rows.system == system)].sort_values("run")
+    figure, panels = _panels(rows, _systems(rows), sharey="row")
+    for axes, own in panels:
         profiles = [_profile(folder, row) for row in own.itertuples()]
-        high = max(1, *map(len, profiles))
-        image = np.zeros((high, max(len(profiles), 1)))
+        image = np.zeros((max(1, *map(len, profiles), 1), max(len(profiles), 1)))
         for column, profile in enumerate(profiles):
             image[: len(profile), column] = profile
-        axes = panels[y, x]
         axes.imshow(
-            image,
-            cmap=colours,
-            vmin=0,
-            vmax=len(_PARTS) - 1,
-            origin="lower",
-            aspect="auto",
-            interpolation="nearest",
-        )
+            image, cmap=ListedColormap(list(_PARTS.values())), vmin=0, vmax=len(_PARTS) - 1, origin="lower",
+            aspect="auto", interpolation="nearest",
+        )  # fmt: skip
         for edge in range(1, len(profiles)):
             axes.axvline(edge - 0.5, color="#ffffff", linewidth=2)
         axes.set_xticks(range(len(profiles)), [str(run) for run in own.run], fontsize=8)
         axes.grid(visible=False)
-        _name(axes, source, system, y, x)
-        if x == 0:
-            axes.set_ylabel("frame", fontsize=9)
-    for axes in panels[-1]:
         axes.set_xlabel("trial", fontsize=9)
+        axes.set_ylabel("frame", fontsize=9)
+        axes.label_outer()
     handles = [Patch(facecolor=c, edgecolor="#999999", label=name) for name, c in _PARTS.items()]
-    return _marked(figure, handles, "Fig. 7, profiles")
+    return figure and _marked(figure, handles, "Fig. 7, profiles")
 
 
 def draw_overlays(rows: pd.DataFrame, folder: Path) -> Figure | None:
     """Figure 8: the path of each system's first trial over the true one; what is lost stays blue."""
     has_truth = [pd.notna(place) and (folder / place / TRUTH_FILE).is_file() for place in rows.folder]
-    with_truth = rows[np.array(has_truth, bool)]
-    sources, systems = _shown(with_truth), _systems(rows)
-    if not sources:
-        return None
-    figure = new_figure(0.8 + 2.3 * len(sources), WIDE_IN)
-    panels = figure.subplots(len(sources), len(systems), squeeze=False)
-    for (y, source), (x, system) in _grid(sources, systems):
-        axes = panels[y, x]
-        own = with_truth[(with_truth.source == source) & (with_truth.system == system)].sort_values("run")
+    figure, panels = _panels(rows[np.array(has_truth, bool)], _systems(rows))
+    for axes, own in panels:
         if len(own):
             _draw_overlay(axes, folder / own.folder.iloc[0])
         axes.set_aspect("equal", adjustable="datalim")
         axes.tick_params(labelsize=7)
-        _name(axes, source, system, y, x)
     handles = [Patch(color=BLUE, label="truth"), Patch(color=ORANGE, label="SLAM, first trial; metres")]
-    return _marked(figure, handles, "Fig. 8, paths")
+    return figure and _marked(figure, handles, "Fig. 8, paths")
 
 
 def draw_end_errors(rows: pd.DataFrame) -> Figure | None:
@@ -210,18 +188,26 @@ def _shown(rows: pd.DataFrame) -> list[str]:
     return failed.sort_values(ascending=False, kind="stable").index[:MOST_SEQUENCES].tolist()
 
 
-def _grid(sources: list[str], systems: list[str]) -> list[tuple[tuple[int, str], tuple[int, str]]]:
-    return [(row, column) for row in enumerate(sources) for column in enumerate(systems)]
+def _panels(
+    rows: pd.DataFrame, systems: list[str], **shared: Any
+) -> tuple[Figure | None, list[tuple[Axes, pd.DataFrame]]]:
+    """A named panel per sequence and system, with its trials in order; no figure without a sequence."""
+    sources = _shown(rows)
+    if not sources:
+        return None, []
+    figure = new_figure(0.8 + 2.3 * len(sources), WIDE_IN)
+    grid = figure.subplots(len(sources), len(systems), squeeze=False, **shared)
+    panels = []
+    for (y, source), (x, system) in product(enumerate(sources), enumerate(systems)):
+        own = rows[(rows.source == source) & (rows.system == system)].sort_values("run")
+        names = [*([system] if y == 0 else []), *([short_name(source)] if x == 0 else [])]
+        grid[y, x].set_title("\n".join(names), fontsize=9, loc="left")
+        panels.append((grid[y, x], own))
+    return figure, panels
 
 
 def _colour(place: int) -> str:
     return _COLOURS[place % len(_COLOURS)]
-
-
-def _name(axes: Axes, source: str, system: str, y: int, x: int) -> None:
-    if y == 0 or x == 0:
-        names = ([system] if y == 0 else []) + ([short_name(source)] if x == 0 else [])
-        axes.set_title("\n".join(names), fontsize=9, loc="left")
 
 
 def _marked(figure: Figure, handles: list[Any], what: str) -> Figure:

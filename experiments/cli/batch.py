@@ -43,8 +43,6 @@ def batch_command(
     example:
 
     `dslab batch kitti.yaml --workers 2 --out out/kitti`
-
-    `dslab batch kitti.yaml --out out/kitti --figures`
     """
     from dslab.experiments.batch.breakages import BREAKAGES_FILE, breakages, rescues
     from dslab.experiments.batch.paper_figures import FIGURES_DIR, write_figures

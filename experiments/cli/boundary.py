@@ -81,10 +81,6 @@ def boundary_command(
     `dslab experiment boundary motion_blur --of base --fail 0.5 --out out/blur`
 
     `dslab experiment boundary low_texture --of mission --fail 0.25 --base room --trials 100 --out out/room`
-
-    `dslab experiment boundary defocus-creeping --of dual --fail 0.5 --strongest 30 --out out/defocus`
-
-    `dslab experiment boundary motion_blur --of base --fail 0.5 --system orbslam3 --out out/orbslam3`
     """
     from dslab.experiments.campaign.runner import run_experiment
     from dslab.experiments.campaign.workers import unit_workers

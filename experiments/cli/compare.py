@@ -34,8 +34,6 @@ def compare_command(
     paths, errors over time and stages, and comparison.json. For example:
 
     `dslab compare out/kitti --out out/kitti-page`
-
-    `dslab compare out/base out/dual --out out/page`
     """
     from dslab.experiments.comparison.compare import PAGE_FILE, compare_runs
 

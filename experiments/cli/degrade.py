@@ -89,19 +89,8 @@ def degrade_command(
 
     `dslab degrade office --segment "motion_blur:start_s=2,duration_s=1,exposure_s=0.1" --out out/blurred`
 
-    `dslab degrade office --segment "low_light:start_s=2,duration_s=1,illumination=0.1" --out out/dark`
-
     `dslab degrade office --segment "covered_lens:start_s=5,duration_s=1,transmission=0"
     --segment "jpeg:start_s=4.5,duration_s=2,quality=8" --out out/office-hard`
-
-    `dslab degrade office --segment "cracked_lens:start_s=3,duration_s=9,cracks=12" --out out/cracked`
-
-    `dslab degrade street --segment "day_to_night:start_s=0,duration_s=60,stops=8,ramp_s=20,fall_s=0"
-    --segment "bandwidth_loss:start_s=30,duration_s=5,share=0.2" --out out/dusk`
-
-    `dslab degrade desk --segment "shallow_focus:start_s=2,duration_s=4,aperture_mm=20" --out out/near`
-
-    `dslab degrade MH_01 --segment "rain:start_s=10,duration_s=20,rate_mmph=40,ramp_s=2" --out out/rainy`
     """
     from dslab.experiments.runs.sources import open_imu
     from dslab.scenarios.segment_text import parse_segment

@@ -34,8 +34,6 @@ def evo_command(
     The errors are those of evo_ape tum -as: of the positions, after Sim(3) alignment. For example:
 
     `dslab evo out/mine theirs.zip`
-
-    `dslab evo out/batch --out out/evo`
     """
     from dslab.experiments.comparison.left_runs import find_runs
     from dslab.experiments.evaluation.alignment import Undefined

@@ -66,8 +66,6 @@ def merge_command(
     (`--last-first`), or of which only the exported table is left. A unit that two of them hold must have the
     same outcome in both. For example:
 
-    `dslab experiment merge out/theirs --out out/mine`
-
     `dslab experiment merge docs/eq1 --out out/eq1`
     """
     from dslab.experiments.campaign.merge import merge
@@ -116,8 +114,6 @@ def run_command(
     unit was given up; units given up among others are counted in the last line. For example:
 
     `dslab experiment run smoke --out out/smoke`
-
-    `dslab experiment run my-spec.yaml --out out/mine --workers 8 --worlds 100`
 
     `dslab experiment run eq1-full --out out/full --scheduler tcp://10.0.0.1:8786`
     """

@@ -47,10 +47,6 @@ def render_command(
 
     `dslab render clean-room --out out/room`
 
-    `dslab render stressed --seed 3 --depth --out out/stressed-3`
-
-    `dslab render kitti-like/07 --seed 1 --out out/kitti-like-07`
-
     `dslab render mine.yaml --format euroc --no-cache --out out/mine`
     """
     from dslab.scenarios.loading import load_scenario
@@ -82,10 +78,6 @@ def export_command(
     For example:
 
     `dslab export stressed --seed 3 --format euroc --imu --out out/stressed-euroc`
-
-    `dslab export clean-room --depth --format tum --out out/room-rgbd`
-
-    `dslab export path/to/mav --format tum --out out/mav`
 
     `dslab export path/to/images --camera cam.yaml --format vslam-lab --out out/walk`
     """

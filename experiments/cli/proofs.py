@@ -37,8 +37,6 @@ def power_command(
     For example:
 
     `dslab experiment power --p0 0.25 --pr 0.2 --pr 0.2 --ratio 2 --power 0.8`
-
-    `dslab experiment power --p0 0.5 --pr 0.5 --ratio 1.29 --worlds 100 --tests 9`
     """
     from dataclasses import asdict
 
@@ -77,8 +75,6 @@ def prove_command(
     For example:
 
     `dslab experiment prove --experiments 100`
-
-    `dslab experiment prove --only coverage --workers 2`
     """
     from dataclasses import asdict
 

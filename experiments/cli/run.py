@@ -84,14 +84,6 @@ def run_command(
 
     `dslab run stressed --system base,dual --out out/stressed`
 
-    `dslab run stressed --system dual --seed 3 --out out/stressed-3 --rerun`
-
-    `dslab run stressed --system dual+ --recovery orb,sift --exhaustive --no-relocalization --out out/lab`
-
-    `dslab run path/to/sequence --config slam.yaml --out out/sequence --json`
-
-    `dslab run clean-room --mode threaded --real-time --map --out out/room`
-
     `dslab run video.mp4 --camera cam.yaml --system dual --out out/video`
 
     `dslab run path/to/sequence --system base,orbslam3,my_slam:MySlam --out out/compared`

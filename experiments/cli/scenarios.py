@@ -47,8 +47,6 @@ def list_scenarios(
     For example:
 
     `dslab scenarios list`
-
-    `dslab scenarios list --all`
     """
     from dslab.scenarios.families import library_names, load_family
 
@@ -177,8 +175,6 @@ def gallery(
     The folder holds index.html and its pictures; it opens from the disk without a network. For example:
 
     `dslab scenarios gallery --out out/gallery --workers 2`
-
-    `dslab scenarios gallery kitti-like stressed mine.yaml --seeds 1 --out out/some`
     """
     from dslab.experiments.gallery.build import make_gallery
 

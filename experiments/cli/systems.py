@@ -36,8 +36,6 @@ def list_command(systems_dir: SystemsOption = None) -> None:
     `DSLAB_SYSTEMS`, and classes that installed packages bring (entry points `dslab.systems`). For example:
 
     `dslab systems list`
-
-    `dslab systems list --systems my/systems`
     """
     from dslab.experiments.runs.systems.registry import Registry
 
@@ -55,8 +53,6 @@ def check_command(
 
     Ends with exit code 2 and one line if it cannot be started, does not end well, or leaves other files than
     its description says. For example:
-
-    `dslab systems check orbslam3`
 
     `dslab systems check my_slam:MySlam --source path/to/sequence`
     """
@@ -108,8 +104,6 @@ def install_command(
     Its packages come from PyPI, by uv if there is one, else by pip. They stay apart from the lab's, and under
     their own licences. A release of this lab, or any commit, is made from its repository and its kernels are
     compiled, which takes minutes; then `base@0.2.0`, `dual@0.2.0` and so on are systems. For example:
-
-    `dslab systems install orbslam3`
 
     `dslab systems install lab@0.2.0`
     """
