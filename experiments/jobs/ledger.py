@@ -8,7 +8,6 @@ its rows and their joint digest. Whoever reads rows gets them as they were writt
 import hashlib
 import json
 import os
-import shutil
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
@@ -26,8 +25,8 @@ FORM = "4"
 Row = dict[str, Any]
 Table = Literal["rows", "errors"]
 _COLUMNS = "number, key, row, digest"
-_RENEWED = ".ledger-renewed"
 _BUSY_S = 30.0
+_BROKEN = "put a copy back, or choose a new folder"
 _UNUSABLE = {sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_IOERR}
 _REMEDIES = {
     sqlite3.SQLITE_FULL: ("the disk is full", "free some space and run the same command again"),
@@ -81,9 +80,9 @@ class Ledger:
             remedy = "give the folder of an experiment that was run"
             raise InputError(str(folder), f"has no {LEDGER_FILE}", remedy)
         # SQLite removes its log with the last connection, if that may write.
-        connection = _connect(path, owner, "rw" if read_only else "rwc")
+        connection = _connect(path, "rw" if read_only else "rwc")
         try:
-            with _explained(path, owner):
+            with _explained(path):
                 if read_only:
                     connection.execute("PRAGMA query_only=ON")
                 else:
@@ -95,7 +94,7 @@ class Ledger:
                 if not read_only:
                     (found,) = connection.execute("PRAGMA integrity_check(1)").fetchone()
                     if found != "ok":
-                        raise InputError(str(path), f"is damaged ({found})", owner.mend)
+                        raise InputError(str(path), f"is damaged ({found})", _BROKEN)
         except BaseException:
             connection.close()
             raise
@@ -116,14 +115,14 @@ class Ledger:
             content = {name: v + 0.0 if isinstance(v, float) else v for name, v in row.items()}
             text = json.dumps(content, allow_nan=False)
             stored.append((key, text, _digest(key, text)))
-        with _explained(self.path, self._owner), _transaction(self._connection):
+        with _explained(self.path), _transaction(self._connection):
             self._connection.executemany(f"INSERT INTO {table} (key, row, digest) VALUES (?, ?, ?)", stored)
             self._sum_up(table, len(stored), [digest for *_, digest in stored])
 
     def drop(self, rows: Iterable[Row]) -> None:
         """Delete rows, all in one transaction."""
         keys = [(json.dumps([row[name] for name in self._owner.key]),) for row in rows]
-        with _explained(self.path, self._owner), _transaction(self._connection):
+        with _explained(self.path), _transaction(self._connection):
             digests = []
             for key in keys:
                 (digest,) = self._connection.execute("SELECT digest FROM rows WHERE key = ?", key).fetchone()
@@ -137,7 +136,7 @@ class Ledger:
         Raises:
             InputError: the ledger is damaged.
         """
-        with _explained(self.path, self._owner):
+        with _explained(self.path):
             # Both in one transaction, for a run may be writing.
             self._connection.execute("BEGIN")
             stored = self._connection.execute(f"SELECT {_COLUMNS} FROM {table} ORDER BY number").fetchall()
@@ -165,17 +164,16 @@ class Ledger:
         """
         return self.rows("errors")
 
-    def sound_rows(self, table: Table) -> list[Row]:
-        """The rows of a table that can be read and are as they were written."""
-        found, cursor = [], self._connection.execute(f"SELECT {_COLUMNS} FROM {table} ORDER BY number")
-        try:
-            for stored in cursor:
-                row, fault = self._read(table, stored)
-                if fault is None:
-                    found.append(row)
-        except sqlite3.DatabaseError:  # what comes after cannot be reached
-            pass
-        return found
+    def drop_damaged(self) -> None:
+        """Delete the rows that are not as they were written, so that their jobs are run again."""
+        with _explained(self.path), _transaction(self._connection):
+            for table in ("rows", "errors"):
+                stored = self._connection.execute(f"SELECT {_COLUMNS} FROM {table}").fetchall()
+                sound = {of["number"]: of["digest"] for of in stored if self._read(table, of)[1] is None}
+                damaged = [(of["number"],) for of in stored if of["number"] not in sound]
+                self._connection.executemany(f"DELETE FROM {table} WHERE number = ?", damaged)
+                sums = (table, len(sound), _joint(sound.values()))
+                self._connection.execute("INSERT OR REPLACE INTO sums VALUES (?, ?, ?)", sums)
 
     def _read(self, table: Table, stored: sqlite3.Row) -> tuple[Row, str | None]:
         if stored["digest"] != _digest(stored["key"], stored["row"]):
@@ -207,46 +205,28 @@ def ledger_of(folder: Path, owner: Owner) -> Iterator[Ledger]:
 
 
 def renew_ledger(folder: Path, owner: Owner, is_begun: bool, drop_damaged: bool = False) -> None:
-    """Write a damaged ledger anew without its damaged rows, if that is wanted.
-
-    The ledger is replaced when the new one is whole. Only the driver of the folder may call this.
+    """Drop the damaged rows of a ledger, if that is wanted.
 
     Args:
         folder: of the ledger.
         owner: of its rows.
         is_begun: it had tables at some time.
-        drop_damaged: leave out rows that are damaged or cannot be read, so that their jobs are run again.
+        drop_damaged: delete rows that are damaged.
 
     Raises:
-        InputError: the ledger is damaged and this is not to be mended, or cannot be; it has been emptied; or
-            the disk is full.
+        InputError: the ledger cannot be read, or has been emptied, or the disk is full.
     """
-    path, renewed = folder / LEDGER_FILE, folder / _RENEWED
-    shutil.rmtree(renewed, ignore_errors=True)
+    path = folder / LEDGER_FILE
     if not path.is_file():
         return
-    # SQLite removes its log with the last connection that may write; it would apply one to the new file.
-    with _explained(path, owner), closing(_connect(path, owner, "rw")) as connection:
-        if not _has_tables(connection):
-            if is_begun:
-                remedy = "put a copy back, or remove it to run all units again"
-                raise InputError(str(path), "is empty: its rows are lost", remedy)
-            return
-        with Ledger.open(folder, owner, read_only=True) as old:
-            if not drop_damaged:
-                return
-            rows, errors = old.sound_rows("rows"), old.sound_rows("errors")
-        connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
-    try:
-        renewed.mkdir()
-        with Ledger.open(renewed, owner) as new:
-            new.add(*rows)
-            new.add(*errors, table="errors")
-        os.replace(renewed / LEDGER_FILE, path)
-    except OSError as error:
-        raise unwritable(path, error) from error
-    finally:
-        shutil.rmtree(renewed, ignore_errors=True)
+    with _explained(path), closing(_connect(path, "rw")) as connection:
+        has_tables = _has_tables(connection)
+    if has_tables and drop_damaged:
+        with Ledger.open(folder, owner) as ledger:
+            ledger.drop_damaged()
+    elif is_begun and not has_tables:
+        remedy = "put a copy back, or remove it to run all units again"
+        raise InputError(str(path), "is empty: its rows are lost", remedy)
 
 
 @contextmanager
@@ -282,9 +262,9 @@ def _joint(digests: Iterable[str]) -> str:
     return f"{joint:016x}"
 
 
-def _connect(path: Path, owner: Owner, mode: str) -> sqlite3.Connection:
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
     """Open an SQLite file: ``rw``, or ``rwc`` to create it."""
-    with _explained(path, owner):
+    with _explained(path):
         uri = f"{path.absolute().as_uri()}?mode={mode}"
         connection = sqlite3.connect(uri, uri=True, timeout=_BUSY_S, isolation_level=None)
     connection.row_factory = sqlite3.Row
@@ -353,7 +333,7 @@ def _transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 
 @contextmanager
-def _explained(path: Path, owner: Owner) -> Iterator[None]:
+def _explained(path: Path) -> Iterator[None]:
     """Convert database errors to one clear line."""
     try:
         yield
@@ -367,7 +347,7 @@ def _explained(path: Path, owner: Owner) -> Iterator[None]:
         is_damage = code == sqlite3.SQLITE_CORRUPT or isinstance(error, sqlite3.OperationalError)
         if known is None and not is_damage:
             raise
-        problem, remedy = known or (f"is damaged ({error})", owner.mend)
+        problem, remedy = known or (f"is damaged ({error})", _BROKEN)
         raise InputError(str(path), problem, remedy) from error
     except UnicodeDecodeError as error:  # the name of a table or column
         raise InputError(str(path), "is damaged (a name in it is no text)", "choose a new folder") from error
