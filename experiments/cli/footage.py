@@ -8,7 +8,6 @@ from dslab.experiments.cli.console import (
     FolderOption,
     JsonOption,
     SeedOption,
-    number,
     print_json_line,
     print_rows,
     progress_bars,
@@ -57,6 +56,8 @@ def footage_command(
         return f"{found['quantiles'][2]:.3g}{apart}"
 
     print_rows({"measure": name} | {s: cell(s, name) for s in sources} for name in MEASURES)
-    figures = [name for name, of in content[sources[0]]["figures"].items() if not isinstance(of, list)]
-    print_rows({"run": name} | {s: number(content[s]["figures"][name]) for s in sources} for name in figures)
+    runs = [content[source]["figures"] for source in sources]
+    names = [name for name, of in runs[0].items() if not isinstance(of, list)]
+    shown = {name: [None if run[name] is None else f"{run[name]:.3g}" for run in runs] for name in names}
+    print_rows({"run": name} | dict(zip(sources, shown[name], strict=True)) for name in names)
     say(f"{out_dir / PICTURE_FILE}: medians; in brackets distances of distributions")

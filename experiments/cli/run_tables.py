@@ -68,7 +68,7 @@ def summary_table(summary: dict) -> Table:
     }
     title = f"{summary['sequence']}, {summary['system']}, seed {summary['seed']}"
     table = table_of(({"": name, "is": value} for name, value in rows.items()), title)
-    table.show_header = False
+    table.show_header, table.columns[1].justify = False, "left"
     return table
 
 

@@ -26,7 +26,8 @@ QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 _LOOKED_AT_EVERY = 10  # frames, for the statistics of images
 _MATCHED_EVERY = 5  # frames, for the residuals of all matches
 _REMOVED_FROM = 2.45  # sigma: from here the tracker removes a match
-_COLUMNS = 3
+_COLUMNS = 4  # with a panel of the scale, rows of these are full
+_SHOWN = (0.005, 0.995)  # quantiles of all samples between which they are drawn
 _OF_SUMMARY = (
     "frames", "share_tracked", "maps", "breakages", "keyframes", "true_path_m", "scale_first_over_last",
     "scale_along", "ate_m",
@@ -143,7 +144,11 @@ def _draw(figures: dict[str, dict[str, Any]], samples: dict[str, Samples]) -> Fi
         for place, own in enumerate(samples.values()):
             if len(own[name]):
                 axes.ecdf(own[name], color=f"C{place}")
+        every = np.concatenate([own[name] for own in samples.values()])
         axes.set(xlabel=label, ylim=(0, 1), xscale="log" if is_log else "linear")
+        axes.xaxis.set_minor_formatter("")
+        if len(every) and np.ptp(ends := np.quantile(every, _SHOWN)) > 0:
+            axes.set_xlim(ends)
     for place, (source, own) in enumerate(figures.items()):
         scale = np.array(own["scale_along"] or [], float)
         last.plot(
