@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from dslab.experiments.runs.ending import Declares, Ending, EndKind
 from dslab.experiments.runs.execution import Observer, RunRecord, live_trajectories
 from dslab.experiments.runs.systems.command_spec import CommandSpec, filled
@@ -207,13 +205,8 @@ def _losses(
 def _show(record: RunRecord, observer: Observer | None, progress: Callable[[int, int], None] | None) -> None:
     frames = len(record.results)
     if observer is not None:
-        shown = PosesOnly(_Nothing(), None, record.system_kind)  # type: ignore[arg-type]
+        shown = PosesOnly(None, None, record.system_kind)
         for result in record.results:
             observer.frame(record.sequence.frames[result.frame], result, shown)
     if progress is not None:
         progress(frames, frames)
-
-
-class _Nothing:
-    def process(self, image: np.ndarray, stamp_s: float) -> None:
-        return None

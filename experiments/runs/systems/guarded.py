@@ -111,27 +111,20 @@ def _ending(exit_code: int | None, last: str) -> Ending:
     if exit_code is not None and exit_code < 0:
         with suppress(ValueError):
             how = f"ended by {signal.Signals(-exit_code).name}"
-    kind = EndKind.OUT_OF_MEMORY if _ran_out(exit_code, last) else EndKind.CRASHED
+    says_so = any(word in last for word in ("MemoryError", "std::bad_alloc"))
+    kind = EndKind.OUT_OF_MEMORY if says_so else EndKind.CRASHED
     return Ending(kind, f"{how}: {last}", "see its log, or run it by hand")
 
 
-def _ran_out(exit_code: int | None, last: str) -> bool:
-    """True if the program itself says that it had no memory left."""
-    return exit_code != 0 and any(word in last for word in ("MemoryError", "std::bad_alloc"))
-
-
-def _members(pid: int) -> list[psutil.Process]:
-    """The guard's descendants, and the members of its group that have another parent by now."""
-    try:
-        children = psutil.Process(pid).children(recursive=True)
-    except psutil.Error:
-        return []
-    return children
+def _descendants(pid: int) -> list[psutil.Process]:
+    with suppress(psutil.Error):
+        return psutil.Process(pid).children(recursive=True)
+    return []
 
 
 def _resident_mb(pid: int) -> float:
     total = 0
-    for process in _members(pid):
+    for process in _descendants(pid):
         with suppress(psutil.Error):
             total += process.memory_info().rss
     return total / _MIB
@@ -139,7 +132,7 @@ def _resident_mb(pid: int) -> float:
 
 def _end_all(process: subprocess.Popen) -> None:
     """Kill the group, and descendants that have left it."""
-    left = _members(process.pid)
+    left = _descendants(process.pid)
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(process.pid, signal.SIGKILL)
     for other in left:

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,28 +16,20 @@ from dslab.slam.map.map import Map
 _NO_FEATURES = np.empty((0, 2), np.float32), np.empty(0, bool)
 
 
-class PoseSource(Protocol):
-    """What a class of one's own must have. It is made with (camera, seed).
-
-    It may also have ``finish()``, which returns the final poses of all frames so far, each (4, 4) or None, or
-    None if those that were given stand; and a list ``events``, of ``slam.events`` or of (stamp_s, words) for
-    each loss that it declares.
-    """
-
-    def process(self, image: np.ndarray, stamp_s: float) -> np.ndarray | None:
-        """Return T_map_cam (4, 4) of a frame, image (H, W) uint8, or None without a pose."""
-        ...
-
-
 class PosesOnly:
-    """Adapter of a :class:`PoseSource`: one map, no points, no keyframes.
+    """Adapter of an object that only gives poses: one map, no points, no keyframes.
+
+    Its ``process(image, stamp_s)`` returns T_map_cam (4, 4) of a frame, image (H, W) uint8, or None without a
+    pose. It may also have ``finish()``, which returns the final poses of all frames so far, each (4, 4) or
+    None, or None if those that were given stand; and a list ``events``, of ``slam.events`` or of (stamp_s,
+    words) for each loss that it declares.
 
     What the source raises ends its part in the run, not the run: later frames have no pose. A pose that is
     none counts as no pose.
 
     Args:
-        source: the object to ask for poses.
-        camera: of the images.
+        source: the object to ask for poses; None for none that is asked.
+        camera: of the images, if it is known.
         name: of the system, for ``settings``.
 
     Attributes:
@@ -45,8 +37,9 @@ class PosesOnly:
         events: what it declared, in order.
     """
 
-    def __init__(self, source: PoseSource, camera: PinholeCamera, name: str) -> None:
-        self.camera, self.config = camera, None
+    def __init__(self, source: Any, camera: Any, name: str) -> None:
+        self.camera: PinholeCamera = camera
+        self.config = None
         self.settings: dict[str, Any] = {"system": name}
         self.ending = Ending()
         self._source = source
