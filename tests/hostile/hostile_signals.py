@@ -17,12 +17,12 @@ COMMANDS = {
     "render without cache": "render {in}/scenario/scenario.yaml --no-cache --out {out}",
     "degrade": "degrade {in}/tum --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
     "run": "run {in}/scenario/scenario.yaml --system dual --rerun --map --out {out}",
-    "demo": "demo --scenario {in}/scenario/scenario.yaml --no-units --out {out}",
+    "demo": "demo --no-units --out {out}",
     "gallery": "scenarios gallery {in}/scenario/scenario.yaml --seeds 2 --frames 2 --workers 2 --out {out}",
     "experiment": "experiment run {in}/experiment/spec.yaml --workers 2 --out {out}",
     "fuzz": "experiment fuzz --units 1 --system base --out {out}",
 }
-LONG = {"fuzz"}
+LONG = {"fuzz", "demo"}
 """Commands whose second start is ended by a signal too, as they take a while."""
 _MOST_S = 40.0
 _BAD = ("Traceback", "Fatal Python error", "Segmentation", "Aborted", "core dumped", "most recent call first")
