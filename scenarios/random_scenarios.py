@@ -64,6 +64,11 @@ SEVERITIES = _LANE_SEVERITIES | _EXTRA_SEVERITIES
 """Distributions of the severity of every kind of degradation."""
 
 
+def random_severity(kind: str, rng: np.random.Generator) -> dict[str, Any]:
+    """Draw the severity of a kind that comes with the lab, from harmless to fatal."""
+    return {name: _drawn(node, rng) for name, node in SEVERITIES[kind].items()}
+
+
 def random_scenario(seed: int) -> Scenario:
     """Draw the scenario of a seed.
 
@@ -128,7 +133,7 @@ def _segment(
 ) -> dict[str, Any]:
     kind = list(severities)[int(rng.integers(len(severities)))]
     segment = {"kind": kind, "start_s": start_s, "duration_s": length_s}
-    segment |= {name: _drawn(node, rng) for name, node in severities[kind].items()}
+    segment |= random_severity(kind, rng)
     if kind not in _SHOOT_SEVERITIES:
         segment["ramp_s"] = length_s * _drawn(_RAMP_SHARE, rng)
     return segment

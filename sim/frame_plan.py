@@ -9,7 +9,7 @@ import numpy as np
 from dslab.scenarios.spec import Camera, Scenario, World
 from dslab.sim.degradations.base import FramePlan, Stage
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
-from dslab.sim.degradations.repeated_texture import with_repeated_texture
+from dslab.sim.degradations.texture import with_repeated_texture
 from dslab.sim.motion import plan_motion
 from dslab.sim.motion.base import Motion
 from dslab.sim.rendering.renderer import Renderer

@@ -7,13 +7,13 @@ true onset and end.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 
+from dslab.scenarios.random_scenarios import random_severity
 from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.segments import Segment, SegmentBase
 from dslab.sim.motion.base import Motion
@@ -112,28 +112,6 @@ def during(segment: SegmentBase, stamps_s: np.ndarray) -> np.ndarray:
 
 
 SegmentT = TypeVar("SegmentT", bound=SegmentBase)
-Draw = Callable[[np.random.Generator], Any]
-"""Draws the value of a field."""
-
-
-def uniform(low: float, high: float) -> Draw:
-    """Draw evenly between two numbers."""
-    return lambda rng: float(rng.uniform(low, high))
-
-
-def log_uniform(low: float, high: float) -> Draw:
-    """Draw evenly between the logarithms of two numbers."""
-    return lambda rng: float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def one_of(*values: float | str) -> Draw:
-    """Draw one of some values."""
-    return lambda rng: values[rng.integers(len(values))]
-
-
-def drawn(**fields: Draw) -> Callable[[Any, np.random.Generator], dict[str, Any]]:
-    """Make a ``sample`` method of a kind, which draws each field of a severity."""
-    return lambda self, rng: {name: draw(rng) for name, draw in fields.items()}
 
 
 class Kind(ABC, Generic[SegmentT]):
@@ -149,9 +127,9 @@ class Kind(ABC, Generic[SegmentT]):
     stage: ClassVar[Stage]
     measure_name: ClassVar[str]
 
-    @abstractmethod
     def sample(self, rng: np.random.Generator, /) -> dict[str, Any]:
-        """Draw severity parameters from the range between harmless and fatal; see ``drawn``."""
+        """Draw severity parameters from harmless to fatal; here as ``scenarios`` does for the lab's own."""
+        return random_severity(self.kind, rng)
 
     @abstractmethod
     def threshold(self, segment: SegmentT) -> float:
@@ -192,19 +170,9 @@ def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ..
     return tuple((first, end - 1) for first, end in runs if within[first:end].any())
 
 
-def segment_truth(
-    degradation: Degradation[Any], plan: FramePlan, segment: Segment, blur_px: np.ndarray
-) -> tuple[SegmentTruth, np.ndarray]:
-    """The segment's truth and its (N,) measure per frame."""
-    measure = degradation.measure(plan, segment, blur_px)
-    threshold = degradation.threshold(segment)
-    return truth_of(segment, degradation.measure_name, measure, threshold, plan.within(segment)), measure
-
-
-def truth_of(
-    segment: Segment, measure_name: str, measure: np.ndarray, threshold: float, within: np.ndarray
-) -> SegmentTruth:
-    """The truth of a segment from its (N,) measure; 0 never counts as acting."""
+def segment_truth(kind: Kind[Any], segment: Segment, measure: np.ndarray, within: np.ndarray) -> SegmentTruth:
+    """The truth of a segment from its (N,) measure and its (N,) bool frames; 0 never counts as acting."""
+    threshold = kind.threshold(segment)
     runs = true_runs((measure >= threshold) & (measure > 0), within)
     return SegmentTruth(
         kind=segment.kind,
@@ -213,7 +181,7 @@ def truth_of(
         end_s=segment.end_s,
         first_frame=runs[0][0] if runs else -1,
         last_frame=runs[-1][1] if runs else -1,
-        measure=measure_name,
+        measure=kind.measure_name,
         threshold=threshold,
         runs=runs,
     )

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.segments import CrackedLens
-from dslab.sim.degradations.base import Stage, drawn, log_uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.tone import decode, encode
@@ -51,7 +51,6 @@ class CrackedLensDegradation(ImageDegradation[CrackedLens]):
     kind = "cracked_lens"
     stage = Stage.LENS
     measure_name = "cracked_share"
-    sample = drawn(cracks=log_uniform(3, 120), bend_deg=log_uniform(0.1, 3))
 
     def prepare(self, segment: CrackedLens, camera: Intrinsics, streams: Streams) -> Filter:
         return _Cracked(segment, camera, streams)

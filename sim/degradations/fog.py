@@ -4,13 +4,12 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.segments import Fog
-from dslab.sim.degradations.base import Stage, drawn, log_uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.tone import decode, encode, srgb_to_linear
 from dslab.sim.worlds.base import Haze
 
-HALF_THE_LIGHT = 0.5
 _VERY_FAR_M = 1e4
 
 
@@ -26,7 +25,7 @@ class Scattering:
 
     def __init__(self, camera: Intrinsics, airlight_level: float) -> None:
         self._airlight = np.float32(srgb_to_linear(np.array(airlight_level / 255)))
-        self._stretch = _ray_lengths(camera)
+        self._stretch = camera.ray_lengths()
 
     def drawn(
         self, image: np.ndarray, depth_m: np.ndarray, extinction_per_m: float
@@ -61,7 +60,6 @@ class FogDegradation(ImageDegradation[Fog]):
     kind = "fog"
     stage = Stage.SCENE
     measure_name = "fog_veil"
-    sample = drawn(extinction_per_m=log_uniform(0.05, 5))
     needs_depth = True
     is_drawn = False
 
@@ -80,11 +78,4 @@ class FogDegradation(ImageDegradation[Fog]):
 
     def threshold(self, segment: Fog) -> float:
         """Half of the light is airlight."""
-        return HALF_THE_LIGHT
-
-
-def _ray_lengths(camera: Intrinsics) -> np.ndarray:
-    """(H, W) float32 distance from the camera per depth along the optical axis."""
-    x = (np.arange(camera.width_px) - camera.cx) / camera.fx
-    y = (np.arange(camera.height_px) - camera.cy) / camera.fy
-    return np.sqrt(1 + x**2 + y[:, None] ** 2).astype(np.float32)
+        return 0.5

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.segments import LensDirt
-from dslab.sim.degradations.base import Stage, drawn, uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.sprites import acting_share, fill_share, filled, smooth_outline
 from dslab.sim.sensors.camera import Intrinsics
@@ -25,7 +25,6 @@ class LensDirtDegradation(ImageDegradation[LensDirt]):
     kind = "lens_dirt"
     stage = Stage.LENS
     measure_name = "dirty_share"
-    sample = drawn(share=uniform(0.1, 0.9), spot_deg=uniform(3, 12))
 
     def prepare(self, segment: LensDirt, camera: Intrinsics, streams: Streams) -> Filter:
         cover = dirt_cover(segment, camera, streams("spots"))

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.segments import LensFlare
-from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.motion.base import Motion
 from dslab.sim.sensors.camera import Intrinsics
@@ -58,7 +58,6 @@ class LensFlareDegradation(ImageDegradation[LensFlare]):
     # It needs the motion, which is known up to the lens.
     stage = Stage.READOUT
     measure_name = "flare_veil"
-    sample = drawn(veil=log_uniform(0.02, 3), off_axis_deg=uniform(0, 45))
 
     def prepare(self, segment: LensFlare, camera: Intrinsics, streams: Streams) -> Filter:
         return _Flare(segment, camera, streams("light"))

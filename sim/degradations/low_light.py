@@ -4,7 +4,7 @@ import numpy as np
 from numba import njit
 
 from dslab.scenarios.segments import LowLight
-from dslab.sim.degradations.base import Stage, drawn, log_uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.tone import DECODE, ENCODE
@@ -21,7 +21,6 @@ class LowLightDegradation(ImageDegradation[LowLight]):
     kind = "low_light"
     stage = Stage.SENSOR
     measure_name = "light_lost_stops"
-    sample = drawn(illumination=log_uniform(0.0005, 0.5))
 
     def prepare(self, segment: LowLight, camera: Intrinsics, streams: Streams) -> Filter:
         return _LowLight(segment, camera, streams)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.scenarios.segments import MovingObjects
-from dslab.sim.degradations.base import Stage, drawn, uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.passers_by import CAR_M, PERSON_M, POSES, VAN_M, person, vehicle
 from dslab.sim.degradations.sprites import Sprite, acting_share, draw_behind, fill_share
@@ -55,7 +55,6 @@ class MovingObjectsDegradation(ImageDegradation[MovingObjects]):
     kind = "moving_objects"
     stage = Stage.SCENE
     measure_name = "foreign_share"
-    sample = drawn(share=uniform(0.1, 0.9), rate_degps=uniform(5, 60))
 
     def prepare(self, segment: MovingObjects, camera: Intrinsics, streams: Streams) -> Filter:
         passers, shares = _crowd(segment, camera, streams("sprites"))

@@ -4,14 +4,13 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.segments import Rain
-from dslab.sim.degradations.base import Stage, drawn, log_uniform, uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.raindrops import REACH_M, RainField, extinction_per_m
 from dslab.sim.degradations.wet_glass import WetGlass
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.tone import decode, encode
 
-FELT_VEIL = 0.02
 _VERY_FAR_M = 1e4
 # Used without a known motion: a camera at rest that looks straight ahead.
 _LEVEL = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
@@ -31,14 +30,13 @@ class RainDegradation(ImageDegradation[Rain]):
     # camera.
     stage = Stage.READOUT
     measure_name = "rain_veil"
-    sample = drawn(rate_mmph=log_uniform(2, 200), wind_mps=uniform(1, 8))
 
     def prepare(self, segment: Rain, camera: Intrinsics, streams: Streams) -> Filter:
         return _Rain(segment, camera, streams)
 
     def threshold(self, segment: Rain) -> float:
         """A fiftieth of the light comes from the rain."""
-        return FELT_VEIL
+        return 0.02
 
 
 class _Rain:
@@ -56,9 +54,7 @@ class _Rain:
             if rate > 0 and segment.glass_mm > 0
             else None
         )
-        x = (np.arange(camera.width_px) - camera.cx) / camera.fx
-        y = (np.arange(camera.height_px) - camera.cy) / camera.fy
-        self._stretch = np.sqrt(1 + x**2 + y[:, None] ** 2).astype(np.float32)
+        self._stretch = camera.ray_lengths()
 
     def __call__(self, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
         rate_mmph = view.strength * self._segment.rate_mmph

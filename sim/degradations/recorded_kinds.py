@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.segments import FastRotation, MotionBlur, Segment, self_overlap
 from dslab.sim.degradations.base import Stage, during
-from dslab.sim.degradations.fast_rotation import swing_angle_rad, swing_axis
 from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS
+from dslab.sim.degradations.rotation import swing_angle_rad, swing_axis
 from dslab.sim.degradations.turned_view import TurnedView
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence

@@ -11,33 +11,29 @@ from typing import Any, TypeVar
 from dslab.scenarios.extensions import note_extension
 from dslab.scenarios.kinds import kind_of
 from dslab.scenarios.segments import SEGMENT_KINDS, ImageSegment, SegmentBase
-from dslab.sim.degradations.auto_exposure_lag import AutoExposureLagDegradation
-from dslab.sim.degradations.bandwidth_loss import BandwidthLossDegradation
 from dslab.sim.degradations.base import Degradation, Stage
-from dslab.sim.degradations.covered_lens import CoveredLensDegradation
 from dslab.sim.degradations.cracked_lens import CrackedLensDegradation
-from dslab.sim.degradations.day_to_night import DayToNightDegradation
-from dslab.sim.degradations.defocus import DefocusDegradation
-from dslab.sim.degradations.fast_rotation import FastRotationDegradation
-from dslab.sim.degradations.flicker import FlickerDegradation
+from dslab.sim.degradations.encoding import BandwidthLossDegradation, JpegDegradation
+from dslab.sim.degradations.focus import DefocusDegradation, ShallowFocusDegradation
 from dslab.sim.degradations.fog import FogDegradation
-from dslab.sim.degradations.frame_drops import FrameDropsDegradation
 from dslab.sim.degradations.image import ImageDegradation
-from dslab.sim.degradations.jpeg import JpegDegradation
 from dslab.sim.degradations.lens_dirt import LensDirtDegradation
 from dslab.sim.degradations.lens_flare import LensFlareDegradation
+from dslab.sim.degradations.light import (
+    AutoExposureLagDegradation,
+    CoveredLensDegradation,
+    DayToNightDegradation,
+    FlickerDegradation,
+    OverExposureDegradation,
+    VignettingDegradation,
+)
 from dslab.sim.degradations.low_light import LowLightDegradation
-from dslab.sim.degradations.low_texture import LowTextureDegradation
-from dslab.sim.degradations.motion_blur import MotionBlurDegradation
 from dslab.sim.degradations.moving_objects import MovingObjectsDegradation
-from dslab.sim.degradations.over_exposure import OverExposureDegradation
-from dslab.sim.degradations.pure_rotation import PureRotationDegradation
 from dslab.sim.degradations.rain import RainDegradation
-from dslab.sim.degradations.repeated_texture import RepeatedTextureDegradation
 from dslab.sim.degradations.rolling_shutter import RollingShutterDegradation
-from dslab.sim.degradations.shallow_focus import ShallowFocusDegradation
-from dslab.sim.degradations.time_jitter import TimeJitterDegradation
-from dslab.sim.degradations.vignetting import VignettingDegradation
+from dslab.sim.degradations.rotation import FastRotationDegradation, PureRotationDegradation
+from dslab.sim.degradations.texture import LowTextureDegradation, RepeatedTextureDegradation
+from dslab.sim.degradations.timing import FrameDropsDegradation, MotionBlurDegradation, TimeJitterDegradation
 
 _ALL: tuple[Degradation[Any] | ImageDegradation[Any], ...] = (
     # A stop delays what follows on the path; a swing keeps its own time.

@@ -5,7 +5,7 @@ import numpy as np
 from numba import njit
 
 from dslab.scenarios.segments import RollingShutter
-from dslab.sim.degradations.base import Stage, drawn, log_uniform
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.exposure import row_shifts
@@ -26,7 +26,6 @@ class RollingShutterDegradation(ImageDegradation[RollingShutter]):
     kind = "rolling_shutter"
     stage = Stage.READOUT
     measure_name = "row_shift_px"
-    sample = drawn(readout_s=log_uniform(0.005, 0.3))
     needs_depth = True
     is_drawn = False
     needs_motion = True

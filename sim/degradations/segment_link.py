@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from dslab.scenarios.segments import ImageSegment, Segment
-from dslab.sim.degradations.base import FramePlan, Stage, segment_truth, streams_of, truth_of
+from dslab.sim.degradations.base import FramePlan, Stage, segment_truth, streams_of
 from dslab.sim.degradations.image import Filter, ramp
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
 from dslab.sim.link import View
@@ -54,8 +54,7 @@ class SegmentLink:
 
     def truth(self) -> SegmentTruth:
         """Return the segment's truth, after all frames."""
-        threshold, within = self.kind.threshold(self.segment), self.strength > 0
-        return truth_of(self.segment, self.kind.measure_name, self.measure, threshold, within)
+        return segment_truth(self.kind, self.segment, self.measure, self.strength > 0)
 
 
 def segment_links(
@@ -100,9 +99,12 @@ def truths_of(
     truths: list[SegmentTruth] = []
     columns: dict[str, np.ndarray] = {}
     for segment in sorted(in_order_of_action(segments), key=lambda segment: segment.start_s):
-        truth, measure = of_images.get(segment) or segment_truth(
-            FRAME_PLAN_KINDS[segment.kind], plan, segment, blur_px
-        )
+        if segment in of_images:
+            truth, measure = of_images[segment]
+        else:
+            kind = FRAME_PLAN_KINDS[segment.kind]
+            measure = kind.measure(plan, segment, blur_px)
+            truth = segment_truth(kind, segment, measure, plan.within(segment))
         truths.append(truth)
         columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
     return truths, columns

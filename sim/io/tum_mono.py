@@ -100,9 +100,7 @@ class RectifiedFrames:
     ) -> None:
         self._raw, self._response = raw, response
         self._gain = 1 / np.maximum(vignette, np.float32(_LEAST_VIGNETTE))
-        x = (np.arange(camera.width_px) - camera.cx) / camera.fx
-        y = (np.arange(camera.height_px) - camera.cy) / camera.fy
-        at = lens.project(np.stack(np.meshgrid(x, y), axis=-1))
+        at = lens.project(np.stack(np.meshgrid(*camera.rays()), axis=-1))
         # The outermost pixels of a crop lie on the border, except for rounding.
         at = np.where(np.abs(at - np.rint(at)) < 1e-6, np.rint(at), at)
         self._map = at.astype(np.float32)

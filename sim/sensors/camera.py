@@ -54,6 +54,16 @@ class Intrinsics:
             cy=(self.cy + 0.5) * scale - 0.5,
         )
 
+    def rays(self) -> tuple[np.ndarray, np.ndarray]:
+        """(W,) and (H, 1) rays of the pixels at unit depth, x and y, as if there were no distortion."""
+        x = (np.arange(self.width_px) - self.cx) / self.fx
+        return x, ((np.arange(self.height_px) - self.cy) / self.fy)[:, None]
+
+    def ray_lengths(self) -> np.ndarray:
+        """(H, W) float32 distance from the camera per depth along the optical axis, likewise."""
+        x, y = self.rays()
+        return np.sqrt(1 + x**2 + y**2).astype(np.float32)
+
     @property
     def is_pinhole(self) -> bool:
         """Return True if the camera has no distortion."""

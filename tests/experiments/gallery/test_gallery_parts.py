@@ -15,7 +15,7 @@ from dslab.scenarios.segment_text import parse_segment
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan
-from dslab.sim.degradations.frame_drops import FrameDropsDegradation
+from dslab.sim.degradations.timing import FrameDropsDegradation
 from dslab.sim.worlds.base import Surface, WorldModel
 
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 from degradation_worlds import sharp_frame, small_backend, small_scenario
+from dslab.sim.degradations.focus import disc
 
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.sim.degradations.base import streams_of
-from dslab.sim.degradations.defocus import disc
 from dslab.sim.degradations.image import View, ramp
 from dslab.sim.degradations.low_light import noise_table
 from dslab.sim.degradations.registry import IMAGE_KINDS

@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.segments import FrameDrops, PureRotation, RepeatedTexture, TimeJitter
 from dslab.scenarios.spec import Trajectory
-from dslab.sim.degradations.base import FramePlan, segment_truth
+from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.registry import DEGRADATIONS
-from dslab.sim.degradations.repeated_texture import px_per_m, with_repeated_texture
+from dslab.sim.degradations.segment_link import truths_of
+from dslab.sim.degradations.texture import px_per_m, with_repeated_texture
 from dslab.sim.motion.walker import plan_walk
 from dslab.sim.worlds.base import Route, Surface, WorldModel
 
@@ -40,9 +41,8 @@ def test_the_share_of_frames_is_dropped_and_the_others_keep_their_numbers(plan, 
     np.testing.assert_array_equal(dropped.stamps_s, plan.stamps_s[dropped.frame])
     assert set(np.setdiff1d(np.arange(150), dropped.frame)) <= set(range(60, 89))
     assert dropped.view_share.shape == (len(dropped.frame), 4)
-    truth, measure = segment_truth(
-        DEGRADATIONS["frame_drops"], dropped, segment, np.zeros(len(dropped.frame))
-    )
+    (truth,), columns = truths_of((segment,), dropped, (), np.zeros(len(dropped.frame)))
+    measure = columns[truth.measure]
     assert measure.sum() == round(share * 29)
     if share:
         assert 60 <= truth.first_frame <= truth.last_frame

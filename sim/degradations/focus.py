@@ -1,20 +1,55 @@
-"""Shallow focus: blur that depends on depth."""
+"""Focus: points that are discs of light, all alike or by their depth."""
+
+from functools import lru_cache
 
 import cv2
 import numpy as np
 
-from dslab.scenarios.segments import ShallowFocus
-from dslab.sim.degradations.base import Stage, drawn, log_uniform
-from dslab.sim.degradations.defocus import SHARP_PX, disc
+from dslab.scenarios.segments import Defocus, ShallowFocus
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.tone import decode, encode
 
-FELT_PX = 2.0
+# A pixel averages over such a disc anyway.
+SHARP_PX = 1.0
+_SUBPIXELS = 8
 _MOST_PX = 80.0
 # Two layers follow one another by this factor in the width of their blur.
 _STEP = 1.35
 _LEAST_COVER = np.float32(1e-3)
+
+
+class DefocusDegradation(ImageDegradation[Defocus]):
+    """Spreads the light evenly over a disc."""
+
+    kind = "defocus"
+    stage = Stage.LENS
+    measure_name = "defocus_px"
+
+    def prepare(self, segment: Defocus, camera: Intrinsics, streams: Streams) -> Filter:
+        def defocus(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            diameter_px = view.strength * segment.diameter_px
+            if diameter_px <= SHARP_PX:
+                return image, diameter_px
+            return encode(cv2.filter2D(decode(image), -1, disc(diameter_px))), diameter_px
+
+        return defocus
+
+    def threshold(self, segment: Defocus) -> float:
+        """A disc that damages corners, or the segment's own if smaller."""
+        return min(4.0, segment.diameter_px)
+
+
+@lru_cache(maxsize=8)
+def disc(diameter_px: float) -> np.ndarray:
+    """(k, k) float32 share of the disc's light on each pixel, sum 1, k odd."""
+    reach = int(np.ceil(diameter_px / 2 - 0.5))
+    size = 2 * reach + 1
+    at = (np.arange(size * _SUBPIXELS) + 0.5) / _SUBPIXELS - size / 2
+    inside = (at[:, None] ** 2 + at**2 <= (diameter_px / 2) ** 2).astype(np.float32)
+    kernel = inside.reshape(size, _SUBPIXELS, size, _SUBPIXELS).mean(axis=(1, 3))
+    return kernel / kernel.sum()
 
 
 class ShallowFocusDegradation(ImageDegradation[ShallowFocus]):
@@ -29,7 +64,6 @@ class ShallowFocusDegradation(ImageDegradation[ShallowFocus]):
     # It needs the depth before a distorting lens.
     stage = Stage.READOUT
     measure_name = "focus_blur_px"
-    sample = drawn(aperture_mm=log_uniform(2, 60), focus_m=log_uniform(0.3, 5))
     needs_depth = True
     is_drawn = False
 
@@ -48,7 +82,7 @@ class ShallowFocusDegradation(ImageDegradation[ShallowFocus]):
 
     def threshold(self, segment: ShallowFocus) -> float:
         """A mean disc of two pixels."""
-        return FELT_PX
+        return 2.0
 
 
 def signed_blur_px(depth_m: np.ndarray, scale_px: float, focus_m: float) -> np.ndarray:

@@ -1,16 +1,64 @@
-"""Repeated texture: surfaces repeat one patch, so that places look alike."""
+"""Texture of the surfaces that the camera passes: it fades, or repeats one patch on all of them."""
 
 from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from dslab.scenarios.segments import RepeatedTexture
-from dslab.sim.degradations.base import Degradation, FramePlan, Stage, drawn, uniform
-from dslab.sim.degradations.low_texture import passed
+from dslab.scenarios.segments import LowTexture, RepeatedTexture, SegmentBase
+from dslab.sim.degradations.base import Degradation, FramePlan, Stage, during
 from dslab.sim.worlds.base import Surface, WorldModel
 
 HALF_THE_VIEW = 0.5
+_NEVER, _ROUNDING = 1e-12, 1e-9
+
+
+class LowTextureDegradation(Degradation[LowTexture]):
+    """Lowers the texture contrast of surfaces that the camera passes during the segment.
+
+    A surface is passed when it fills most of the view. With ``view_share`` surfaces fade until they fill that
+    share of the view, on average over the segment.
+    """
+
+    kind = "low_texture"
+    stage = Stage.WORLD
+    measure_name = "faded_share"
+
+    def apply(self, plan: FramePlan, segment: LowTexture) -> FramePlan:
+        contrast = np.where(_faded(plan, segment), plan.contrast * segment.contrast, plan.contrast)
+        return replace(plan, contrast=contrast)
+
+    def measure(self, plan: FramePlan, segment: LowTexture, blur_px: np.ndarray) -> np.ndarray:
+        """(N,) share of the view that the segment's surfaces fill."""
+        if segment.contrast == 1:
+            return np.zeros(len(plan.stamps_s))
+        return plan.view_share[:, _faded(plan, segment)].sum(axis=1, dtype=float)
+
+    def threshold(self, segment: LowTexture) -> float:
+        """Half of the view, or the share asked for if that is less."""
+        return HALF_THE_VIEW if segment.view_share is None else min(HALF_THE_VIEW, segment.view_share)
+
+
+def passed(plan: FramePlan, segment: SegmentBase) -> np.ndarray:
+    """(S,) bool: surfaces whose moment lies in the segment."""
+    return during(segment, plan.moment_s)
+
+
+def _faded(plan: FramePlan, segment: LowTexture) -> np.ndarray:
+    """(S,) bool: surfaces passed, or those that fill the share of the view and are least seen outside."""
+    if segment.view_share is None:
+        return passed(plan, segment)
+    within = plan.within(segment)
+    inside = (
+        plan.view_share[within].mean(axis=0, dtype=float) if within.any() else np.zeros(len(plan.contrast))
+    )
+    everywhere = plan.view_share.sum(axis=0, dtype=float)
+    # By the view that they fill outside, for each unit of view inside.
+    order = np.argsort(-inside / np.maximum(everywhere, _NEVER), kind="stable")
+    filled = np.cumsum(inside[order])
+    faded = np.zeros(len(inside), bool)
+    faded[order[: int(np.searchsorted(filled, segment.view_share - _ROUNDING)) + 1]] = True
+    return faded & (inside > 0)
 
 
 class RepeatedTextureDegradation(Degradation[RepeatedTexture]):
@@ -19,7 +67,6 @@ class RepeatedTextureDegradation(Degradation[RepeatedTexture]):
     kind = "repeated_texture"
     stage = Stage.WORLD
     measure_name = "repeated_share"
-    sample = drawn(share=uniform(0.3, 1))
 
     def apply(self, plan: FramePlan, segment: RepeatedTexture) -> FramePlan:
         repeated = _most_seen(plan, segment)

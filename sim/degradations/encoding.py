@@ -1,9 +1,10 @@
-"""Bandwidth loss: packets of the coded video do not arrive."""
+"""What the coding of the video and its way to the receiver do: JPEG artefacts, lost packets."""
 
+import cv2
 import numpy as np
 
-from dslab.scenarios.segments import BandwidthLoss
-from dslab.sim.degradations.base import Stage, drawn, uniform
+from dslab.scenarios.segments import BandwidthLoss, Jpeg
+from dslab.sim.degradations.base import Stage
 from dslab.sim.degradations.image import Filter, ImageDegradation, Streams, View
 from dslab.sim.degradations.sprites import acting_share
 from dslab.sim.sensors.camera import Intrinsics
@@ -11,6 +12,30 @@ from dslab.sim.sensors.camera import Intrinsics
 _GRAY = 128  # of blocks before which none has arrived
 _LEAST_PACKET, _MOST_PACKET = 3, 40  # blocks
 _MOST_ROWS_UP = 6
+
+
+class JpegDegradation(ImageDegradation[Jpeg]):
+    """Encodes and decodes the frame."""
+
+    kind = "jpeg"
+    stage = Stage.ENCODER
+    measure_name = "jpeg_loss"
+
+    def prepare(self, segment: Jpeg, camera: Intrinsics, streams: Streams) -> Filter:
+        """See ``ImageDegradation``; libjpeg's quality is a whole number."""
+
+        def code(image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+            quality = round(100 - view.strength * (100 - segment.quality))
+            if quality == 100:
+                return image, 0.0
+            _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+            return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)), 100.0 - quality
+
+        return code
+
+    def threshold(self, segment: Jpeg) -> float:
+        """A quality of 50, or the segment's own if higher."""
+        return min(50.0, 100.0 - round(segment.quality))
 
 
 class BandwidthLossDegradation(ImageDegradation[BandwidthLoss]):
@@ -23,7 +48,6 @@ class BandwidthLossDegradation(ImageDegradation[BandwidthLoss]):
     kind = "bandwidth_loss"
     stage = Stage.ENCODER
     measure_name = "lost_share"
-    sample = drawn(share=uniform(0.05, 0.95))
 
     def prepare(self, segment: BandwidthLoss, camera: Intrinsics, streams: Streams) -> Filter:
         side = segment.block_px
