@@ -54,6 +54,16 @@ class Scenario(Strict):
         """Frames of the sequence; the first has stamp 0."""
         return max(1, round(self.duration_s * self.camera.fps))
 
+    @property
+    def seed_of_world(self) -> int:
+        """``world_seed``, else the seed of all."""
+        return self.seed if self.world_seed is None else self.world_seed
+
+    @property
+    def seed_of_noise(self) -> int:
+        """Of sensor noise and image segments: ``noise_seed``, else the seed of all."""
+        return self.seed if self.noise_seed is None else self.noise_seed
+
     @field_validator("segments", mode="before")
     @classmethod
     def _last_to_the_end(cls, segments: Any, info: ValidationInfo) -> Any:

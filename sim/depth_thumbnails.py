@@ -8,7 +8,7 @@ import numpy as np
 
 from dslab.scenarios.spec import Camera, Scenario
 from dslab.sim.cache import FolderCache
-from dslab.sim.frame_plan import RenderBackend, ideal_camera, render_backend, taking_intrinsics, world_seed
+from dslab.sim.frame_plan import RenderBackend, ideal_camera, render_backend, taking_intrinsics
 from dslab.sim.io.raw import stored_array
 from dslab.sim.provenance import entry_key
 from dslab.sim.sensors.camera import Intrinsics
@@ -58,9 +58,10 @@ def depth_renderer(
 
 def _bare_world(scenario: Scenario, backend: RenderBackend, store: FolderCache) -> WorldModel:
     """The world as one surface without texture."""
-    seed = world_seed(scenario, scenario.seed)
     # Only the world and its seed shape it.
-    key = entry_key(Scenario(name="world_shape", world=scenario.world), seed, backend, world_shape=True)
+    seed = scenario.seed_of_world
+    bare = Scenario(name="world_shape", world=scenario.world, seed=seed)
+    key = entry_key(bare, backend, world_shape=True)
     shape = store.load(key, _stored_shape)
     if shape is None:
         with store.create(key) as folder:

@@ -94,42 +94,43 @@ def taking_intrinsics(camera: Camera) -> Intrinsics:
     return known if left is None else replace(known, distortion=(left.k1, left.k2, 0.0, 0.0, 0.0))
 
 
+def quiet(step: str, done: int, total: int) -> None:
+    """The progress of work that nobody watches."""
+
+
 def plan_frames(
-    scenario: Scenario, seed: int, backend: RenderBackend, progress: Progress
+    scenario: Scenario, backend: RenderBackend, progress: Progress = quiet
 ) -> tuple[FramePlan, WorldModel]:
     """Return the frame plan with every segment applied, and the world as rendered."""
-    world = backend.build_world(scenario.world, world_seed(scenario, seed))
+    world = backend.build_world(scenario.world, scenario.seed_of_world)
     survey = partial(_survey, world=world, camera=scenario.camera, backend=backend, progress=progress)
-    plan = plan_in_world(scenario, seed, backend, len(world.surfaces), survey)
+    plan = plan_in_world(scenario, backend, len(world.surfaces), survey)
     return plan, replace(with_repeated_texture(world, plan.texture_of, plan.period_m), contrast=plan.contrast)
 
 
 def plan_in_world(
-    scenario: Scenario, seed: int, backend: RenderBackend, surfaces: int, survey: Survey
+    scenario: Scenario,
+    backend: RenderBackend,
+    surfaces: int = 0,
+    survey: Survey = lambda plan: plan.view_share,
 ) -> FramePlan:
     """Plan the frames of a world that need not be built.
 
     Args:
         scenario: what happens.
-        seed: root seed.
         backend: for the route.
         surfaces: number of surfaces of the world, S.
         survey: called once if a segment acts on the world.
     """
-    camera = scenario.camera
-    stamps_s = np.arange(scenario.frame_count) / camera.fps
+    stamps_s = np.arange(scenario.frame_count) / scenario.camera.fps
+    route = backend.layout(scenario.world, scenario.seed_of_world)
     plan = FramePlan(
         stamps_s=stamps_s,
-        motion=plan_motion(
-            backend.layout(scenario.world, world_seed(scenario, seed)),
-            scenario.trajectory,
-            scenario.duration_s,
-            seed,
-        ),
-        exposure_s=np.full(len(stamps_s), camera.exposure_s),
+        motion=plan_motion(route, scenario.trajectory, scenario.duration_s, scenario.seed),
+        exposure_s=np.full(len(stamps_s), scenario.camera.exposure_s),
         contrast=np.ones(surfaces),
         view_share=np.zeros((len(stamps_s), 0), np.float32),
-        seed=seed,
+        seed=scenario.seed,
     )
     acting = in_order_of_action(s for s in scenario.segments if s.kind in FRAME_PLAN_KINDS)
     for stage in Stage:
@@ -141,22 +142,12 @@ def plan_in_world(
     return plan
 
 
-def world_seed(scenario: Scenario, seed: int) -> int:
-    """Seed of the world: the scenario's ``world_seed``, else the root seed."""
-    return seed if scenario.world_seed is None else scenario.world_seed
-
-
-def noise_seed(scenario: Scenario, seed: int) -> int:
-    """Seed of sensor noise and image segments: the scenario's ``noise_seed``, else the root seed."""
-    return seed if scenario.noise_seed is None else scenario.noise_seed
-
-
-def plan_path(scenario: Scenario, seed: int, backend: RenderBackend) -> Motion:
+def plan_path(scenario: Scenario, backend: RenderBackend) -> Motion:
     """Plan the camera's motion with its segments; nothing is built or rendered."""
     acting = (s for s in scenario.segments if s.kind in FRAME_PLAN_KINDS)
     turning = tuple(s for s in acting if FRAME_PLAN_KINDS[s.kind].stage is Stage.MOTION)
     moved = scenario.model_copy(update={"segments": turning})
-    return plan_in_world(moved, seed, backend, 0, lambda plan: plan.view_share).motion
+    return plan_in_world(moved, backend).motion
 
 
 def ideal_camera(camera: Intrinsics) -> Intrinsics:

@@ -9,14 +9,14 @@ import hashlib
 from collections.abc import Iterator
 from collections.abc import Sequence as Many
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dslab.scenarios.spec import Camera, Segment
 from dslab.sim.degradations.base import FramePlan, Stage
 from dslab.sim.degradations.fog import HazeLink
-from dslab.sim.degradations.segment_link import SegmentLink, segment_links
+from dslab.sim.degradations.segment_link import segment_links
 from dslab.sim.frame_plan import RenderBackend, taking_intrinsics
 from dslab.sim.link import NO_IMAGE, Link, Shutter, View, fold
 from dslab.sim.rendering.renderer import Renderer
@@ -56,10 +56,11 @@ class ImagingChain:
         self.ideal = lens.ideal if lens else own
         self.segments = segment_links(segments, own, plan.stamps_s, seed, self.ideal)
         self.exposure = Exposure(self.ideal, len(plan.stamps_s))
-        self.to_lens: list[Link] = [*self._at(Stage.SCENE), self.exposure, *self._at(Stage.READOUT)]
+        at = {stage: [link for link in self.segments if link.kind.stage is stage] for stage in Stage}
+        self.to_lens: list[Link] = [*at[Stage.SCENE], self.exposure, *at[Stage.READOUT]]
         self.to_lens += [lens] if lens else []
-        behind = self._at(Stage.LENS, Stage.SENSOR)
-        self.behind_lens: list[Link] = [*soft, *behind, *developed, *self._at(Stage.ENCODER)]
+        self.behind_lens: list[Link] = [*soft, *at[Stage.LENS], *at[Stage.SENSOR]]
+        self.behind_lens += [*developed, *at[Stage.ENCODER]]
 
     def images(self, source: Many[Link]) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
         """Yield every frame of the plan, and its depth if the source knows it.
@@ -71,9 +72,6 @@ class ImagingChain:
             image, view = fold(source, NO_IMAGE, taken)
             image, _ = fold(self.behind_lens, image, replace(view, depth_m=None, motion=None))
             yield image, view.depth_m
-
-    def _at(self, *stages: Stage) -> list[SegmentLink]:
-        return [link for link in self.segments if link.kind.stage in stages]
 
 
 @contextmanager
@@ -104,14 +102,31 @@ class _Rendering:
         return image, replace(view, depth_m=depth_m)
 
 
+@dataclass(frozen=True)
 class KeptExposures:
-    """Frames as they have come through the lens before, by their number."""
+    """Frames as they have come through the lens before, by their number: a link in the place of those to it.
 
-    def __init__(self, frames: FrameSource) -> None:
-        self._frames = frames
+    Attributes:
+        frames: N frames (H, W) uint8, none of them dropped.
+        blur_px: (N,) median length of their motion blur.
+        view_share: (N, S) share of the view of every surface; see ``FramePlan``.
+        measures: (N,) measure of every segment on images that has acted.
+    """
+
+    frames: FrameSource
+    blur_px: np.ndarray
+    view_share: np.ndarray
+    measures: dict[Segment, np.ndarray]
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
-        return self._frames[view.frame], view
+        return self.frames[view.frame], view
+
+    def measure(self, chain: ImagingChain, plan: FramePlan) -> None:
+        """Say what the links would have measured in whose place the frames are."""
+        chain.exposure.blur_px[:] = self.blur_px[plan.frame]
+        for link in chain.segments:
+            if link.segment in self.measures:
+                link.measure[:] = self.measures[link.segment][plan.frame]
 
 
 _shared: dict[bytes, tuple[np.ndarray, float]] = {}

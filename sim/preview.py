@@ -8,7 +8,7 @@ import numpy as np
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.segment_link import SegmentLink
-from dslab.sim.frame_plan import RenderBackend, noise_seed, plan_frames, render_backend
+from dslab.sim.frame_plan import RenderBackend, plan_frames, render_backend
 from dslab.sim.imaging import ImagingChain, rendered
 from dslab.sim.room import check_memory, check_room
 from dslab.sim.worlds.base import WorldModel
@@ -52,7 +52,7 @@ class Preview:
         part, scenario = self.plan.only(kept), self.scenario
         camera = scenario.camera
         check_memory(scenario.name, len(indices), 2 * len(indices) * camera.width_px * camera.height_px)
-        chain = ImagingChain(camera, scenario.segments, part, noise_seed(scenario, scenario.seed))
+        chain = ImagingChain(camera, scenario.segments, part, scenario.seed_of_noise)
         with rendered(self.world, chain.ideal, self.backend) as sharp:
             images = [image for image, _ in chain.images([*sharp, *chain.to_lens])]
         return images, chain.exposure.blur_px, chain.segments
@@ -70,5 +70,5 @@ def preview(scenario: Scenario, backend: RenderBackend | None = None) -> Preview
     """
     check_room(scenario.name, scenario.frame_count, [])
     backend = backend or render_backend()
-    plan, world = plan_frames(scenario, scenario.seed, backend, lambda step, done, total: None)
+    plan, world = plan_frames(scenario, backend)
     return Preview(scenario, plan, world, backend)

@@ -25,26 +25,25 @@ _PACKAGES = (
 )
 
 
-def entry_key(scenario: Scenario, seed: int, backend: RenderBackend, **what: Any) -> str:
+def entry_key(scenario: Scenario, backend: RenderBackend, **what: Any) -> str:
     """Key of what is cached of a scenario.
 
     Args:
         scenario: what happens.
-        seed: root seed.
         backend: worlds and renderer.
         what: tells apart what is kept of it, for example ``depth=True``; None for nothing.
     """
     # Inertial readings change no frame.
-    frames = provenance(scenario.model_copy(update={"imu": None}), seed, backend)
+    frames = provenance(scenario.model_copy(update={"imu": None}), backend)
     told = {name: value for name, value in what.items() if value is not None}
     return content_key({**told, "sources": sources(), **frames})
 
 
-def provenance(scenario: Scenario, seed: int, backend: RenderBackend) -> dict[str, Any]:
+def provenance(scenario: Scenario, backend: RenderBackend) -> dict[str, Any]:
     """The meta data of rendered frames, JSON-like."""
     return {
-        "spec": scenario.model_copy(update={"seed": seed}).model_dump(mode="json"),
-        "seed": seed,
+        "spec": scenario.model_dump(mode="json"),
+        "seed": scenario.seed,
         "versions": {"python": platform.python_version(), **_versions()},
         "renderer": backend.renderer_name,
         "gl": backend.gl_info(),

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Sequence as Many
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,21 +18,20 @@ from dslab.scenarios.spec import Scenario
 from dslab.sim.cache import CorruptEntryError, FolderCache
 from dslab.sim.degradations.base import FramePlan, Stage
 from dslab.sim.degradations.registry import DEGRADATIONS, IMAGE_KINDS, in_order_of_action
-from dslab.sim.degradations.segment_link import truths_of
+from dslab.sim.degradations.truth import truths_of
 from dslab.sim.frame_plan import (
     Progress,
     RenderBackend,
     camera_intrinsics,
-    noise_seed,
     plan_frames,
     plan_in_world,
+    quiet,
     render_backend,
 )
 from dslab.sim.imaging import ImagingChain, KeptExposures, SharedExposures, rendered
 from dslab.sim.io.folders import check_free
 from dslab.sim.io.raw import RawFrames, RawWriter, stored_array, stored_columns
 from dslab.sim.io.tum import write_tum
-from dslab.sim.link import Link
 from dslab.sim.provenance import entry_key, provenance
 from dslab.sim.room import Need, check_room, images_need
 from dslab.sim.sequence import SegmentTruth, Sequence
@@ -76,28 +75,29 @@ def render_sequence(
         InputError: no GL, the world's sizes do not fit, there is no room for the frames, a folder cannot be
             written, the disk is full.
     """
-    seed = scenario.seed if seed is None else seed
-    backend = backend or render_backend()
-    progress = progress or (lambda step, done, total: None)
+    if seed is not None:
+        scenario = scenario.model_copy(update={"seed": seed})
+    backend, progress, store = backend or render_backend(), progress or quiet, FolderCache(cache_dir)
+    begun_s = None if first_s is None or first_s >= scenario.duration_s else first_s
+    count, kept = _frames_within(scenario, begun_s), _keeps_exposed_frames(scenario) and not depth
     if out_dir is not None:
         check_free(out_dir)
         needs = [*needs, images_need_of(scenario, out_dir, depth)]
-    meta = provenance(scenario, seed, backend)
-    store = FolderCache(cache_dir)
-    begun_s = None if first_s is None or first_s >= scenario.duration_s else first_s
-    key = entry_key(scenario, seed, backend, depth=depth, first_s=begun_s)
-    opened = partial(_open, scenario=scenario, meta=meta, depth=depth)
+    opened = partial(_open, scenario=scenario, meta=provenance(scenario, backend), depth=depth)
     # An entry of the whole, or with depth, has the same frames.
-    keys = [key, *(entry_key(scenario, seed, backend, depth=kept) for kept in (depth, True))]
-    found = (store.load(known, opened) for known in dict.fromkeys(keys))
+    kinds = ({"depth": depth, "first_s": begun_s}, {"depth": depth}, {"depth": True})
+    keys = [entry_key(scenario, backend, **kind) for kind in kinds]
+    found = (store.load(key, opened) for key in dict.fromkeys(keys))
     sequence = next((sequence for sequence in found if sequence is not None), None)
     if sequence is None:
-        needs = [*needs, Need(store.root, _stacks_bytes(scenario, depth, begun_s))]
-    check_room(scenario.name, _frames_within(scenario, begun_s), needs, force)
+        frames = (5 if depth else 1) * count + (scenario.frame_count if kept else 0)
+        needs = [*needs, Need(store.root, frames * scenario.camera.width_px * scenario.camera.height_px)]
+    check_room(scenario.name, count, needs, force)
     if sequence is None:
-        with store.create(key) as folder:
-            _render_into(folder, scenario, seed, depth, backend, store, progress, first_s=begun_s)
-        sequence = opened(store.root / key)
+        with store.create(keys[0]) as folder:
+            exposed = _exposed_frames_of(scenario, backend, store, progress) if kept else None
+            _render_into(folder, scenario, backend, progress, exposed, depth=depth, first_s=begun_s)
+        sequence = opened(store.root / keys[0])
     if first_s is not None:
         sequence = sequence.first(first_s)
     if out_dir is not None:
@@ -117,14 +117,6 @@ def _frames_within(scenario: Scenario, first_s: float | None) -> int:
     return count if first_s is None else min(count, math.ceil(first_s * scenario.camera.fps) + 1)
 
 
-def _stacks_bytes(scenario: Scenario, depth: bool, first_s: float | None) -> int:
-    """Size of the stacks of frames in the cache."""
-    frames, pixels = _frames_within(scenario, first_s), scenario.camera.width_px * scenario.camera.height_px
-    if _keeps_exposed_frames(scenario) and not depth:
-        return (frames + scenario.frame_count) * pixels
-    return (5 if depth else 1) * frames * pixels
-
-
 def _keeps_exposed_frames(scenario: Scenario) -> bool:
     """Return True if noise or a stress behind the lens may vary, and before the lens none acts by chance."""
     kinds = [IMAGE_KINDS[s.kind] for s in scenario.segments if isinstance(s, ImageSegment)]
@@ -139,37 +131,78 @@ def _acts_before_the_lens(segment: Segment) -> bool:
     return stage <= Stage.SHUTTER or Stage.SCENE <= stage < Stage.LENS
 
 
+def _exposed_frames_of(
+    scenario: Scenario, backend: RenderBackend, store: FolderCache, progress: Progress
+) -> KeptExposures:
+    """The exposed frames of a scenario; they are rendered if they are not cached."""
+    kept = filter(_acts_before_the_lens, scenario.segments)
+    bare = scenario.model_copy(
+        update={
+            "name": "exposed_frames",
+            "description": "",
+            "noise_seed": None,
+            "segments": tuple(in_order_of_action(kept)),
+            "camera": scenario.camera.model_copy(update=_NO_SENSOR),
+        }
+    )
+    alike = bare.model_copy(update={"segments": ()})
+    key, shared = (entry_key(one, backend, exposed_frames=True) for one in (bare, alike))
+    read = partial(_read_exposed_frames, scenario=bare)
+    found = store.load(key, read)
+    if found is None:
+        with store.create(key) as folder:
+            plan, chain = _render_into(folder, bare, backend, progress, shared=f"{store.root} {shared}")
+            np.save(folder / _VIEW_SHARE, plan.view_share)
+            if measures := [link.measure for link in chain.segments]:
+                np.save(folder / _MEASURES, measures)
+        found = read(store.root / key)
+    return found
+
+
+def _read_exposed_frames(entry: Path, scenario: Scenario) -> KeptExposures:
+    """The exposed frames of an entry. Raises CorruptEntryError if it holds anything else."""
+    camera, count = scenario.camera, scenario.frame_count
+    columns = stored_columns(entry / "frame_truth.npz", count)
+    if "blur_px" not in columns:
+        raise CorruptEntryError("frame_truth.npz has no blur_px")
+    acted = [segment for segment in scenario.segments if isinstance(segment, ImageSegment)]
+    stored = stored_array(entry / _MEASURES, (len(acted), count), np.float64) if acted else ()
+    return KeptExposures(
+        RawFrames(entry / "gray.npy", (count, camera.height_px, camera.width_px), np.uint8),
+        columns["blur_px"],
+        np.array(stored_array(entry / _VIEW_SHARE, (count, None), np.float32)),
+        dict(zip(acted, np.array(stored), strict=True)),
+    )
+
+
 def _render_into(
     folder: Path,
     scenario: Scenario,
-    seed: int,
-    depth: bool,
     backend: RenderBackend,
-    store: FolderCache,
     progress: Progress,
-    shared: str = "",
+    exposed: KeptExposures | None = None,
+    depth: bool = False,
     first_s: float | None = None,
+    shared: str = "",
 ) -> tuple[FramePlan, ImagingChain]:
     """Write the frames and the truth of a sequence into a folder of the cache; return its plan and segments.
 
     ``shared``, for exposed frames, is the key of those without segments: frames that look alike are shared.
     """
-    camera = scenario.camera
-    exposed = world = None
-    # Frames that are shared are exposed frames themselves.
-    if _keeps_exposed_frames(scenario) and not depth and not shared:
-        exposed = _exposed_frames_of(scenario, seed, backend, store, progress)
+    camera, world = scenario.camera, None
+    if exposed:
         view_share = exposed.view_share
-        plan = plan_in_world(scenario, seed, backend, view_share.shape[1], lambda plan: view_share)
+        plan = plan_in_world(scenario, backend, view_share.shape[1], lambda plan: view_share)
     else:
-        plan, world = plan_frames(scenario, seed, backend, progress)
+        plan, world = plan_frames(scenario, backend, progress)
     if first_s is not None:
         plan = plan.first(first_s)
-    chain = ImagingChain(camera, scenario.segments, plan, noise_seed(scenario, seed))
+    chain = ImagingChain(camera, scenario.segments, plan, scenario.seed_of_noise)
     count, size = len(plan.frame), (camera.height_px, camera.width_px)
     with ExitStack() as files:
         if exposed:
-            source = exposed.links(chain, plan)
+            exposed.measure(chain, plan)
+            source = [exposed]
         else:
             assert world is not None
             source = [*files.enter_context(rendered(world, chain.ideal, backend)), *chain.to_lens]
@@ -182,89 +215,15 @@ def _render_into(
             if depths:
                 depths.append(depth_m)
             progress("degrading" if exposed else "exposing", index, count)
-    _write_truth(folder, scenario, plan, chain)
-    return plan, chain
-
-
-@dataclass(frozen=True)
-class _ExposedFrames:
-    """Frames as they come through the lens: before the segments behind it, and before the sensor's noise.
-
-    Attributes:
-        frames: N frames (H, W) uint8, none of them dropped.
-        blur_px: (N,) median length of their motion blur.
-        view_share: (N, S) share of the view of every surface; see ``FramePlan``.
-        measures: (N,) measure of every segment on images that has acted.
-    """
-
-    frames: RawFrames
-    blur_px: np.ndarray
-    view_share: np.ndarray
-    measures: dict[Segment, np.ndarray]
-
-    def links(self, chain: ImagingChain, plan: FramePlan) -> list[Link]:
-        """Stand in for a chain's links up to the lens, and for what these would have measured."""
-        chain.exposure.blur_px[:] = self.blur_px[plan.frame]
-        for link in chain.segments:
-            if link.segment in self.measures:
-                link.measure[:] = self.measures[link.segment][plan.frame]
-        return [KeptExposures(self.frames)]
-
-
-def _exposed_frames_of(
-    scenario: Scenario, seed: int, backend: RenderBackend, store: FolderCache, progress: Progress
-) -> _ExposedFrames:
-    """The exposed frames of a scenario; they are rendered if they are not cached."""
-    kept = filter(_acts_before_the_lens, scenario.segments)
-    bare = scenario.model_copy(
-        update={
-            "name": "exposed_frames",
-            "description": "",
-            "noise_seed": None,
-            "segments": tuple(in_order_of_action(kept)),
-            "camera": scenario.camera.model_copy(update=_NO_SENSOR),
-        }
-    )
-    key = entry_key(bare, seed, backend, exposed_frames=True)
-    plain = entry_key(bare.model_copy(update={"segments": ()}), seed, backend, exposed_frames=True)
-    read = partial(_read_exposed_frames, scenario=bare)
-    found = store.load(key, read)
-    if found is None:
-        with store.create(key) as folder:
-            shared = f"{store.root} {plain}"
-            plan, chain = _render_into(folder, bare, seed, False, backend, store, progress, shared)
-            np.save(folder / _VIEW_SHARE, plan.view_share)
-            if measures := [link.measure for link in chain.segments]:
-                np.save(folder / _MEASURES, measures)
-        found = read(store.root / key)
-    return found
-
-
-def _read_exposed_frames(entry: Path, scenario: Scenario) -> _ExposedFrames:
-    """The exposed frames of an entry. Raises CorruptEntryError if it holds anything else."""
-    camera, count = scenario.camera, scenario.frame_count
-    columns = stored_columns(entry / "frame_truth.npz", count)
-    if "blur_px" not in columns:
-        raise CorruptEntryError("frame_truth.npz has no blur_px")
-    acted = [segment for segment in scenario.segments if isinstance(segment, ImageSegment)]
-    stored = stored_array(entry / _MEASURES, (len(acted), count), np.float64) if acted else ()
-    return _ExposedFrames(
-        RawFrames(entry / "gray.npy", (count, camera.height_px, camera.width_px), np.uint8),
-        columns["blur_px"],
-        np.array(stored_array(entry / _VIEW_SHARE, (count, None), np.float32)),
-        dict(zip(acted, np.array(stored), strict=True)),
-    )
-
-
-def _write_truth(folder: Path, scenario: Scenario, plan: FramePlan, chain: ImagingChain) -> None:
     blur_px = chain.exposure.blur_px
     truths, measured = truths_of(scenario.segments, plan, chain.segments, blur_px)
-    # Every frame has an exposure and some blur, with or without a segment.
-    columns = {**measured, "exposure_s": plan.exposure_s, "blur_px": blur_px}
     (folder / "segments.json").write_text(json.dumps([asdict(truth) for truth in truths]))
     np.save(folder / "stamps_s.npy", plan.stamps_s + plan.stamp_error_s)
     np.save(folder / "T_world_cam.npy", plan.motion.T_world_cam(plan.stamps_s))
+    # Every frame has an exposure and some blur, with or without a segment.
+    columns = {**measured, "exposure_s": plan.exposure_s, "blur_px": blur_px}
     np.savez(folder / "frame_truth.npz", **columns)
+    return plan, chain
 
 
 def _open(entry: Path, scenario: Scenario, meta: dict[str, Any], depth: bool) -> Sequence:

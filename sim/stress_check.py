@@ -7,9 +7,9 @@ import numpy as np
 from dslab.scenarios.segments import ImageSegment, Segment
 from dslab.scenarios.spec import Scenario
 from dslab.sim.degradations.base import FramePlan, Stage, during
-from dslab.sim.degradations.image import ramp
 from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
-from dslab.sim.degradations.segment_link import truths_of
+from dslab.sim.degradations.segment_link import ramp
+from dslab.sim.degradations.truth import truths_of
 from dslab.sim.frame_plan import RenderBackend, plan_in_world, render_backend
 from dslab.sim.preview import Preview, preview
 
@@ -34,7 +34,7 @@ def stress_acts(scenario: Scenario, backend: RenderBackend | None = None) -> boo
     backend = backend or render_backend()
     stages = {DEGRADATIONS[segment.kind].stage for segment in scenario.segments}
     if stages <= _WITHOUT_A_WORLD:
-        plan = plan_in_world(scenario, scenario.seed, backend, 0, lambda plan: plan.view_share)
+        plan = plan_in_world(scenario, backend)
         return any(_acts_on_plan(plan, segment) for segment in scenario.segments)
     looked = preview(scenario, backend)
     return any(

@@ -162,7 +162,7 @@ def _prepare_render(
         scenario = scenario.model_copy(
             update={"world": scenario.world.model_copy(update={"length_m": length_m})}
         )
-    plan, world = plan_frames(scenario, scenario.seed, backend, lambda step, done, total: None)
+    plan, world = plan_frames(scenario, backend)
     renderer = backend.renderer(world, _intrinsics())
     poses = plan.motion.T_world_cam(plan.stamps_s)
     start = index * len(poses) // processes

@@ -112,7 +112,7 @@ def open_imu(
     if scenario.imu is None and not wanted:
         return None
     model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
-    return record_imu(plan_path(scenario, scenario.seed, render_backend()), stamps_s, scenario.seed, model)
+    return record_imu(plan_path(scenario, render_backend()), stamps_s, scenario.seed, model)
 
 
 def _image_names(folder: Path) -> tuple[str, ...]:

@@ -15,9 +15,8 @@ import numpy as np
 
 from dslab.scenarios.random_scenarios import random_severity
 from dslab.scenarios.seeds import rng_for
-from dslab.scenarios.segments import Segment, SegmentBase
+from dslab.scenarios.segments import SegmentBase
 from dslab.sim.motion.base import Motion
-from dslab.sim.sequence import SegmentTruth
 
 
 class Stage(IntEnum):
@@ -152,36 +151,3 @@ class Degradation(Kind[SegmentT]):
             segment: the segment to measure.
             blur_px: (N,) median length of each frame's motion blur, pixels.
         """
-
-
-def true_runs(acts: np.ndarray, within: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """The runs of ``acts`` that touch the segment's own time.
-
-    Args:
-        acts: (N,) bool, frames on which the measure reaches its threshold.
-        within: (N,) bool, frames in the segment's declared time.
-
-    Returns:
-        First and last frame of each, inclusive, in order. A run elsewhere, such as a second visit to faded
-        walls, is not the segment's.
-    """
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], acts, [False]]).astype(np.int8)))
-    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return tuple((first, end - 1) for first, end in runs if within[first:end].any())
-
-
-def segment_truth(kind: Kind[Any], segment: Segment, measure: np.ndarray, within: np.ndarray) -> SegmentTruth:
-    """The truth of a segment from its (N,) measure and its (N,) bool frames; 0 never counts as acting."""
-    threshold = kind.threshold(segment)
-    runs = true_runs((measure >= threshold) & (measure > 0), within)
-    return SegmentTruth(
-        kind=segment.kind,
-        severity=segment.severity,
-        start_s=segment.start_s,
-        end_s=segment.end_s,
-        first_frame=runs[0][0] if runs else -1,
-        last_frame=runs[-1][1] if runs else -1,
-        measure=kind.measure_name,
-        threshold=threshold,
-        runs=runs,
-    )

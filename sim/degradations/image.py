@@ -46,16 +46,3 @@ class ImageDegradation(Kind[SegmentT]):
     @abstractmethod
     def prepare(self, segment: SegmentT, camera: Intrinsics, streams: Streams) -> Filter:
         """Prepare the segment: compute once everything that is the same for all frames."""
-
-
-def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:
-    """(N,) float64 strength of a segment at (N,) times: 0 outside, 1 between its two ramps."""
-    inside = (stamps_s >= segment.start_s - 1e-9) & (stamps_s < segment.end_s - 1e-9)
-    strength = inside.astype(float)
-    for length_s, to_edge_s in (
-        (segment.ramp_s, stamps_s - segment.start_s),
-        (segment.falls_s, segment.end_s - stamps_s),
-    ):
-        if length_s > 0:
-            strength = np.minimum(strength, np.clip(to_edge_s / length_s, 0, 1))
-    return strength

@@ -12,7 +12,8 @@ from dslab.sim.degradations.base import FramePlan, Stage, during
 from dslab.sim.degradations.recorded_kinds import check_recorded_sequence, view_of
 from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from dslab.sim.degradations.retake import Retake, fill_narrow_holes
-from dslab.sim.degradations.segment_link import segment_links, truths_of
+from dslab.sim.degradations.segment_link import segment_links
+from dslab.sim.degradations.truth import truths_of
 from dslab.sim.io.raw import RawFrames, RawWriter
 from dslab.sim.link import USUAL_EXPOSURE_S, View, fold
 from dslab.sim.sequence import Sequence

@@ -1,19 +1,17 @@
-"""Segments that act on images, as links of the imaging chain; the truths of all segments."""
+"""Segments that act on images, as links of the imaging chain."""
 
 from collections.abc import Iterable
-from collections.abc import Sequence as Many
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from dslab.scenarios.segments import ImageSegment, Segment
-from dslab.sim.degradations.base import FramePlan, Stage, segment_truth, streams_of
-from dslab.sim.degradations.image import Filter, ramp
-from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, IMAGE_KINDS, in_order_of_action
+from dslab.sim.degradations.base import Stage, during, streams_of
+from dslab.sim.degradations.image import Filter
+from dslab.sim.degradations.registry import IMAGE_KINDS, in_order_of_action
 from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.sequence import SegmentTruth
 
 
 class SegmentLink:
@@ -52,10 +50,6 @@ class SegmentLink:
             self._filter = None
         return image, view
 
-    def truth(self) -> SegmentTruth:
-        """Return the segment's truth, after all frames."""
-        return segment_truth(self.kind, self.segment, self.measure, self.strength > 0)
-
 
 def segment_links(
     segments: Iterable[Segment],
@@ -81,30 +75,13 @@ def segment_links(
     ]
 
 
-def truths_of(
-    segments: Many[Segment], plan: FramePlan, links: Iterable[SegmentLink], blur_px: np.ndarray
-) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
-    """Truths by start, then by order of action, and the columns of their measures.
-
-    Segments with the same measure share a column, which holds the larger value; segments of one kind do not
-    overlap. The runs of each truth give the frames on which it acts.
-
-    Args:
-        segments: all of the sequence.
-        plan: with every segment applied.
-        links: the segments that act on images, after all frames.
-        blur_px: (N,) median length of each frame's motion blur, pixels.
-    """
-    of_images = {link.segment: (link.truth(), link.measure) for link in links}
-    truths: list[SegmentTruth] = []
-    columns: dict[str, np.ndarray] = {}
-    for segment in sorted(in_order_of_action(segments), key=lambda segment: segment.start_s):
-        if segment in of_images:
-            truth, measure = of_images[segment]
-        else:
-            kind = FRAME_PLAN_KINDS[segment.kind]
-            measure = kind.measure(plan, segment, blur_px)
-            truth = segment_truth(kind, segment, measure, plan.within(segment))
-        truths.append(truth)
-        columns[truth.measure] = np.maximum(columns.get(truth.measure, 0.0), measure)
-    return truths, columns
+def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:
+    """(N,) float64 strength of a segment at (N,) times: 0 outside, 1 between its two ramps."""
+    strength = during(segment, stamps_s).astype(float)
+    for length_s, to_edge_s in (
+        (segment.ramp_s, stamps_s - segment.start_s),
+        (segment.falls_s, segment.end_s - stamps_s),
+    ):
+        if length_s > 0:
+            strength = np.minimum(strength, np.clip(to_edge_s / length_s, 0, 1))
+    return strength

@@ -52,9 +52,9 @@ class SensorNoise:
         size = max(_BANK_SIZE, 2 * shape[0] * shape[1])
         if shot:
             variance = sigma**2 + shot**2 * np.arange(256) / 255
-            self._normals, self._sigma_of = _normals(size, seed), np.sqrt(variance).astype(np.float32)
-        elif sigma:
-            self._bank = _levels(size, seed, sigma)
+            self._sigma_of = np.sqrt(variance).astype(np.float32)
+        if shot or sigma:
+            self._bank = _bank(size, seed, None if shot else sigma)
 
     def apply(self, image: np.ndarray, view: View) -> tuple[np.ndarray, View]:
         return self.added(image, view.frame), view
@@ -64,34 +64,22 @@ class SensorNoise:
         if self._sigma == 0 and not self._shot:
             return image.copy()
         pixels = self._shape[0] * self._shape[1]
-        bank = self._normals if self._shot else self._bank
-        start = int(rng_for(self._seed, "noise", frame).integers(len(bank) - pixels))
-        if self._shot:
-            normals = bank[start : start + pixels].reshape(self._shape)
-            return cv2.add(image, normals * cv2.LUT(image, self._sigma_of), dtype=cv2.CV_8U)
+        start = int(rng_for(self._seed, "noise", frame).integers(len(self._bank) - pixels))
         piece = self._bank[start : start + pixels].reshape(self._shape)
+        if self._shot:
+            piece = piece * cv2.LUT(image, self._sigma_of)
         return cv2.add(image, piece, dtype=cv2.CV_8U)
 
 
 # Sequences that share their noise follow each other.
 @lru_cache(maxsize=1)
-def _levels(size: int, seed: int, sigma: float) -> np.ndarray:
-    """(size,) int8 noise in whole grey levels, read only."""
-    levels = np.clip(np.rint(sigma * _drawn(size, seed)), -127, 127).astype(np.int8)
-    levels.flags.writeable = False
-    return levels
-
-
-@lru_cache(maxsize=1)
-def _normals(size: int, seed: int) -> np.ndarray:
-    """(size,) float32 normal numbers, read only."""
-    normals = _drawn(size, seed)
-    normals.flags.writeable = False
-    return normals
-
-
-def _drawn(size: int, seed: int) -> np.ndarray:
-    return rng_for(seed, "noise", "bank").standard_normal(size, np.float32)
+def _bank(size: int, seed: int, sigma: float | None) -> np.ndarray:
+    """(size,) float32 normal numbers, or with a sigma int8 noise in whole grey levels; read only."""
+    bank = rng_for(seed, "noise", "bank").standard_normal(size, np.float32)
+    if sigma is not None:
+        bank = np.clip(np.rint(sigma * bank), -127, 127).astype(np.int8)
+    bank.flags.writeable = False
+    return bank
 
 
 def sensor_links(camera: Camera, seed: int) -> tuple[list[Link], list[Link]]:
@@ -101,7 +89,7 @@ def sensor_links(camera: Camera, seed: int) -> tuple[list[Link], list[Link]]:
         camera: of the scenario.
         seed: root seed of the noise.
     """
-    noise = SensorNoise((camera.height_px, camera.width_px), camera.noise_sigma, seed, camera.shot_noise)
     soft: list[Link] = [Softness(camera.softness_px)] if camera.softness_px else []
     tone: list[Link] = [ToneCurve(camera.contrast)] if camera.contrast != 1 else []
+    noise = SensorNoise((camera.height_px, camera.width_px), camera.noise_sigma, seed, camera.shot_noise)
     return soft, [*tone, noise]

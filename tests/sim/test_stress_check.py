@@ -54,7 +54,7 @@ def test_it_is_what_the_truth_of_the_whole_sequence_says(segment, acts, tmp_path
 def test_the_asked_share_of_the_view_fades_from_surfaces_that_are_seen_least_elsewhere(world):
     def plan(**segment):
         of = scenario(world, kind="low_texture", contrast=0.1, **segment)
-        made, _ = plan_frames(of, of.seed, render_backend(), lambda *_: None)
+        made, _ = plan_frames(of, render_backend())
         seen, faded = made.view_share, made.contrast < 1
         within = made.within(of.segments[0])
         return seen[within][:, faded].sum(axis=1).mean(), seen[~within][:, faded].sum(axis=1).mean(), faded

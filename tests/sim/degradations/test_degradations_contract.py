@@ -122,8 +122,8 @@ def test_a_distorting_lens_acts_after_the_light_s_way_to_it(render):
         "distortion": {"model": "radtan", "k1": -0.2, "k2": 0.03},
     }
     sequence = render("corridor", segment("over_exposure", stops=1), camera=camera)
-    scenario, backend = small_scenario("corridor", camera=camera), small_backend()
-    plan, world = plan_frames(scenario, SEED, backend, lambda step, done, total: None)
+    scenario, backend = small_scenario("corridor", camera=camera, seed=SEED), small_backend()
+    plan, world = plan_frames(scenario, backend)
     lens = Lens(camera_intrinsics(scenario.camera))
     renderer = backend.renderer(world, lens.ideal)
     for frame, stops in ((2, 0), (6, 1)):

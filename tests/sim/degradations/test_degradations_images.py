@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 from degradation_worlds import sharp_frame, small_backend, small_scenario
-from dslab.sim.degradations.focus import disc
 
 from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.sim.degradations.base import streams_of
-from dslab.sim.degradations.image import View, ramp
+from dslab.sim.degradations.focus import disc
+from dslab.sim.degradations.image import View
 from dslab.sim.degradations.low_light import noise_table
 from dslab.sim.degradations.registry import IMAGE_KINDS
 from dslab.sim.degradations.rolling_shutter import row_maps
+from dslab.sim.degradations.segment_link import ramp
 from dslab.sim.frame_plan import camera_intrinsics, plan_frames, plan_path
 from dslab.sim.imaging import rendered
 from dslab.sim.sensors.camera import Intrinsics
@@ -190,7 +191,7 @@ def test_jpeg_is_the_encoder_of_its_quality():
 @pytest.mark.parametrize("kind", IMAGE_KINDS)
 def test_the_given_image_and_depth_stay_unchanged(kind):
     strong = IMAGE_KINDS[kind].sample(np.random.default_rng(1))
-    motion = plan_path(small_scenario("room"), 1, small_backend())
+    motion = plan_path(small_scenario("room", seed=1), small_backend())
     image, depth_m = texture(), np.full((120, 160), 2.0, np.float32)
     image.setflags(write=False)
     before = depth_m.copy()
@@ -204,9 +205,9 @@ def test_the_given_image_and_depth_stay_unchanged(kind):
 
 
 def test_every_row_of_a_rolling_shutter_is_the_row_of_a_frame_at_its_own_time():
-    scenario, backend = small_scenario("corridor"), small_backend()
+    scenario, backend = small_scenario("corridor", seed=4), small_backend()
     camera, readout_s, stamp_s = camera_intrinsics(scenario.camera), 0.25, 0.4
-    plan, world = plan_frames(scenario, 4, backend, lambda step, done, total: None)
+    plan, world = plan_frames(scenario, backend)
     rolling = make("rolling_shutter", camera=camera, readout_s=readout_s)
     with rendered(world, camera, backend) as links:
         middle, depth_m = sharp_frame(links, plan.motion.T_world_cam(stamp_s))

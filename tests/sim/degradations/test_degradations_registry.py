@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 from dslab.scenarios import spec
 from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.segments import SEGMENT_KINDS
-from dslab.sim.degradations.base import FramePlan, true_runs
+from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.registry import DEGRADATIONS, FRAME_PLAN_KINDS
-from dslab.sim.degradations.segment_link import truths_of
+from dslab.sim.degradations.truth import true_runs, truths_of
 from dslab.sim.motion.walker import plan_walk
 from dslab.sim.sensors.sensor import SensorNoise
 from dslab.sim.worlds.base import Route

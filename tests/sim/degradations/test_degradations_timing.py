@@ -10,8 +10,8 @@ from dslab.scenarios.segments import FrameDrops, PureRotation, RepeatedTexture, 
 from dslab.scenarios.spec import Trajectory
 from dslab.sim.degradations.base import FramePlan
 from dslab.sim.degradations.registry import DEGRADATIONS
-from dslab.sim.degradations.segment_link import truths_of
 from dslab.sim.degradations.texture import px_per_m, with_repeated_texture
+from dslab.sim.degradations.truth import truths_of
 from dslab.sim.motion.walker import plan_walk
 from dslab.sim.worlds.base import Route, Surface, WorldModel
 

@@ -8,9 +8,9 @@ from dslab.sim.frame_plan import plan_frames, render_backend
 
 
 def planned(world_seed, seed):
-    scenario = small_scenario("corridor").model_copy(update={"world_seed": world_seed})
+    scenario = small_scenario("corridor", world_seed=world_seed, seed=seed)
     with cheap_textures():
-        plan, world = plan_frames(scenario, seed, render_backend(), lambda step, done, total: None)
+        plan, world = plan_frames(scenario, render_backend())
     textures = b"".join(surface.texture.tobytes() + surface.vertices.tobytes() for surface in world.surfaces)
     return textures, plan.motion.T_world_cam(plan.stamps_s)
 
