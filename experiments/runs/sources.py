@@ -117,7 +117,7 @@ def open_imu(
 
 def _image_names(folder: Path) -> tuple[str, ...]:
     """Names of the image files, relative to the folder, in its order; empty for the TUM-mono form."""
-    from dslab.sim.io import euroc_layout, kitti, layout
+    from dslab.sim.io import euroc, kitti, layout
     from dslab.sim.io.forms import Form, detect_form, sequence_folder
     from dslab.sim.io.text import read_rows
 
@@ -126,16 +126,15 @@ def _image_names(folder: Path) -> tuple[str, ...]:
     if form is Form.TUM:
         return tuple(words[1] for _, words in read_rows(folder / layout.FRAMES_FILE, ""))
     if form is Form.EUROC:
-        camera = folder / euroc_layout.CAMERA_DIR
-        rows = read_rows(camera / euroc_layout.TABLE_FILE, "", ",")
-        return tuple(f"{euroc_layout.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
+        rows = read_rows(folder / euroc.CAMERA_DIR / euroc.TABLE_FILE, "", ",")
+        return tuple(f"{euroc.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
     if form is Form.KITTI:
         return tuple(f"{kitti.IMAGES_DIR}/{path.name}" for path in kitti.image_paths(folder))
     return ()
 
 
 def _folder_imu(folder: Path) -> ImuReadings | None:
-    from dslab.sim.io.euroc_reader import load_euroc_imu
+    from dslab.sim.io.euroc import load_euroc_imu
     from dslab.sim.io.forms import Form, detect_form, sequence_folder
 
     folder = sequence_folder(folder)

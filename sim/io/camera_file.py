@@ -9,7 +9,7 @@ from dslab.scenarios.errors import InputError
 from dslab.scenarios.lenses import lens_fault
 from dslab.scenarios.yaml_file import read_yaml
 from dslab.sim.io.layout import CAMERA_KEYS
-from dslab.sim.io.text import number_at
+from dslab.sim.io.text import number_at, numbers_at
 from dslab.sim.sensors.camera import DISTORTION_KEYS, LEAST_SIDE_PX, MOST_PIXELS, MOST_SIDE_PX, Intrinsics
 
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
@@ -71,6 +71,14 @@ def check_camera(path: Path, camera: Intrinsics) -> None:
         fault = lens_fault(size, focal, (camera.cx, camera.cy), camera.model, camera.distortion)
         if fault:
             raise InputError(f"{path}: distortion", *fault)
+
+
+def whole_size(where: str, values: dict[Any, Any], key: str) -> tuple[int, int]:
+    """Width and height under a key of a YAML file. Raises InputError unless they are whole numbers."""
+    width, height = numbers_at(where, values, key, (2,))
+    if any(size != int(size) for size in (width, height)):
+        raise InputError(f"{where}: {key}", f"{width:g}x{height:g} is no image size", "give whole pixels")
+    return int(width), int(height)
 
 
 def check_size(where: str, width_px: int, height_px: int) -> None:

@@ -1,19 +1,15 @@
 """Sequence folders of every form: detection, reading, writing."""
 
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder, is_given
-from dslab.sim.io import euroc_layout, kitti, layout, tartanair, tum_mono, vslam_lab_layout
-from dslab.sim.io.euroc_reader import load_euroc
-from dslab.sim.io.euroc_writer import write_euroc
+from dslab.sim.io import euroc, kitti, layout, tartanair, tum, tum_mono, vslam_lab
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
-from dslab.sim.io.tum import load_tum, write_tum
 from dslab.sim.io.video import is_video, load_video
-from dslab.sim.io.vslam_lab_reader import load_vslam_lab
-from dslab.sim.io.vslam_lab_writer import write_vslam_lab
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
 from dslab.sim.sequence import Sequence
 
@@ -36,12 +32,18 @@ WITH_DEPTH = (Form.TUM, Form.VSLAM_LAB)
 
 
 _LOADERS = {
-    Form.TUM: load_tum,
+    Form.TUM: tum.load_tum,
     Form.KITTI: kitti.load_kitti,
-    Form.EUROC: load_euroc,
+    Form.EUROC: euroc.load_euroc,
     Form.TUM_MONO: tum_mono.load_tum_mono,
-    Form.VSLAM_LAB: load_vslam_lab,
+    Form.VSLAM_LAB: vslam_lab.load_vslam_lab,
     Form.TARTANAIR: tartanair.load_tartanair,
+}
+_WRITERS: dict[Form, Callable[..., None]] = {
+    Form.TUM: tum.write_tum,
+    Form.KITTI: kitti.write_kitti,
+    Form.EUROC: euroc.write_euroc,
+    Form.VSLAM_LAB: vslam_lab.write_vslam_lab,
 }
 
 
@@ -55,11 +57,11 @@ def detect_form(folder: Path) -> Form:
         problem = "is no folder" if is_given(folder) else "no such folder"
         raise InputError(str(folder), problem, "give a folder with rgb.txt, camera.yaml and images")
     marks = {
-        Form.VSLAM_LAB: (vslam_lab_layout.FRAMES_FILE, vslam_lab_layout.IMAGES_DIR),
+        Form.VSLAM_LAB: (vslam_lab.FRAMES_FILE, vslam_lab.IMAGES_DIR),
         # Before the TUM form, as it may have a camera.yaml too.
         Form.TARTANAIR: tuple(name for v in tartanair.VERSIONS for name in (v.images, v.poses)),
         Form.TUM: (layout.FRAMES_FILE, layout.CAMERA_FILE),
-        Form.EUROC: (euroc_layout.CAMERA_DIR,),
+        Form.EUROC: (euroc.CAMERA_DIR,),
         Form.KITTI: (kitti.IMAGES_DIR,),
         Form.TUM_MONO: (tum_mono.CAMERA_FILE, tum_mono.IMAGES_ZIP),
     }
@@ -136,13 +138,7 @@ def write_sequence(
     if depth and form not in WITH_DEPTH:
         problem = f"the form {form} has no depth images"
         raise InputError("--depth", problem, f"use --format {' or '.join(WITH_DEPTH)}")
-    if form is Form.TUM:
-        write_tum(sequence, directory, depth, progress)
-    elif form is Form.KITTI:
-        kitti.write_kitti(sequence, directory, progress)
-    elif form is Form.EUROC:
-        write_euroc(sequence, directory, imu, progress)
-    elif form is Form.VSLAM_LAB:
-        write_vslam_lab(sequence, directory, depth, progress)
-    else:
+    if form not in _WRITERS:
         raise InputError("--format", f"{form} is read, not written", "use tum, kitti, euroc or vslam-lab")
+    more = {"depth": depth} if form in WITH_DEPTH else {"imu": imu} if form is Form.EUROC else {}
+    _WRITERS[form](sequence, directory, progress=progress, **more)

@@ -33,10 +33,15 @@ class GrayFolder:
         paths: the images.
         shape: (H, W) that every one must have.
         authority: file that states the shape, for the fault.
+
+    Raises:
+        InputError: the first of them cannot be read or has another size.
     """
 
     def __init__(self, paths: list[Path], shape: tuple[int, int], authority: str = "camera.yaml") -> None:
         self._paths, self._shape, self._authority = paths, shape, authority
+        if paths:
+            self[0]  # a wrong size shows in the first image already
 
     def __len__(self) -> int:
         return len(self._paths)

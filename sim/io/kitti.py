@@ -21,7 +21,15 @@ from dslab.sim.io.camera_file import check_camera
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
-from dslab.sim.io.text import check_order, check_present, check_words, read_rows, to_numbers, to_stamp
+from dslab.sim.io.text import (
+    check_frames,
+    check_present,
+    check_words,
+    read_rows,
+    stamped_numbers,
+    to_numbers,
+    to_stamp,
+)
 from dslab.sim.io.truth import check_position, is_rotation
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
@@ -105,14 +113,9 @@ def image_paths(folder: Path) -> list[Path]:
 
 
 def _read_times(path: Path) -> np.ndarray:
-    stamps: list[float] = []
-    for where, words in read_rows(path, "give a folder with one stamp per line and frame"):
-        check_words(where, words, ["stamp"])
-        stamp_s = to_stamp(where, words[0])
-        check_order(where, stamps, stamp_s)
-        stamps.append(stamp_s)
-    if not stamps:
-        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    rows = read_rows(path, "give a folder with one stamp per line and frame")
+    stamps, _ = stamped_numbers(rows, ["stamp"], to_stamp)
+    check_frames(path, stamps)
     return np.array(stamps)
 
 

@@ -39,7 +39,6 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
     paths = [folder / name for name in names]
     check_present(paths, str(folder))
     frames = GrayFolder(paths, (camera.height_px, camera.width_px), str(camera_file))
-    frames[0]  # a wrong size shows in the first image already
     return Sequence(
         name=folder.resolve().name,
         camera=camera,

@@ -11,7 +11,7 @@ import numpy as np
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given, read_json
 from dslab.sim.io import layout
-from dslab.sim.io.euroc_layout import ORIGIN_KEY
+from dslab.sim.io.clock import ORIGIN_KEY
 from dslab.sim.io.text import check_words, read_rows, to_numbers
 from dslab.sim.sequence import SegmentTruth, Sequence
 
@@ -32,17 +32,18 @@ def write_sidecars(sequence: Sequence, folder: Path) -> None:
                 writer.writerow([frame, *(f"{value:.6g}" for value in row)])
 
 
-def read_sidecars(folder: Path, frames: int) -> dict[str, Any]:
+def read_sidecars(folder: Path, frames: int, origin: int = 0) -> dict[str, Any]:
     """Read the fields ``name``, ``segments``, ``meta`` and ``frame_truth`` of a ``Sequence``.
 
     Args:
         folder: may hold the files; without them the fields are empty and the name is the folder's.
         frames: number of frames that they must fit.
+        origin: nanoseconds at 0 s, kept in ``meta``; 0 for none.
 
     Raises:
         InputError: a file is malformed or does not fit.
     """
-    meta = _read_meta(folder / layout.META_FILE)
+    meta = _read_meta(folder / layout.META_FILE) | ({ORIGIN_KEY: origin} if origin else {})
     return {
         "name": meta.get("name") or folder.resolve().name,
         "segments": _read_segments(folder / layout.SEGMENTS_FILE, frames),

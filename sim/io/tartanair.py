@@ -25,7 +25,7 @@ from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
 from dslab.sim.io.raw import UNREADABLE
 from dslab.sim.io.sidecars import read_sidecars
 from dslab.sim.io.text import check_words, read_rows, to_numbers
-from dslab.sim.io.truth import check_position, check_quaternion, poses_of
+from dslab.sim.io.truth import check_pose, poses_of
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 
@@ -86,7 +86,6 @@ def load_tartanair(folder: Path) -> Sequence:
         problem = f"is {found[1]}x{found[0]} pixels, those of the data set {shape[1]}x{shape[0]}"
         raise InputError(str(paths[0]), problem, "add a camera.yaml with the intrinsics of these images")
     frames = GrayFolder(paths, shape, layout.CAMERA_FILE if given else "the data set")
-    frames[0]  # a wrong size shows in the first image already
     return Sequence(
         camera=camera,
         stamps_s=np.arange(len(paths)) / camera.fps,
@@ -149,10 +148,8 @@ def _read_poses(path: Path, frames: int) -> np.ndarray | None:
     rows = []
     for where, words in read_rows(path, ""):
         check_words(where, words, _NAMES)
-        row = to_numbers(where, words, _NAMES)
-        check_position(where, row[:3])
-        check_quaternion(f"{where}: qx qy qz qw", row[3:])
-        rows.append(row)
+        rows.append(to_numbers(where, words, _NAMES))
+        check_pose(where, rows[-1])
     if len(rows) != frames:
         problem = f"has {len(rows)} poses for {frames} images"
         raise InputError(

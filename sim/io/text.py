@@ -4,14 +4,16 @@ import io
 import os
 import re
 import stat
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import TABLE_BYTES, read_text
+
+StampT = TypeVar("StampT", int, float)
 
 _MOST_ROWS, _LONGEST_ROW = 4_000_000, 100_000
 # Two thousand years: more are no seconds, but micro- or nanoseconds.
@@ -93,6 +95,56 @@ def check_order(where: str, earlier: list[Any], stamp: float) -> None:
         shown, last = (f"{s}" if isinstance(s, int) else f"{s:.6f}" for s in (stamp, earlier[-1]))
         problem = f"{shown} does not come after {last}"
         raise InputError(f"{where}: stamp", problem, "sort the lines by stamp and remove doubles")
+
+
+def read_list(
+    path: Path, separator: str | None, to_stamp: Callable[[str, str], StampT]
+) -> tuple[list[StampT], list[str]]:
+    """Stamps and names of a list of frames. Raises InputError without a frame, or for any other line."""
+    between = separator or " "
+    stamps: list[StampT] = []
+    names: list[str] = []
+    for where, words in read_rows(
+        path, f"give the list of frames, `stamp{between}filename` per line", separator
+    ):
+        if len(words) != 2:
+            problem = f"{len(words)} words where stamp and filename belong"
+            raise InputError(where, problem, f"write `stamp{between}filename`; the file may be cut short")
+        stamp = to_stamp(where, words[0])
+        check_order(where, stamps, stamp)
+        stamps.append(stamp)
+        names.append(words[1])
+    check_frames(path, stamps)
+    return stamps, names
+
+
+def check_frames(path: Path, stamps: Sized) -> None:
+    """Raise InputError for a list without a frame."""
+    if not stamps:
+        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+
+
+def stamped_numbers(
+    rows: Iterable[tuple[str, list[str]]],
+    names: list[str],
+    to_stamp: Callable[[str, str], StampT],
+    check: Callable[[str, list[float]], None] = lambda where, numbers: None,
+) -> tuple[list[StampT], np.ndarray]:
+    """Increasing stamps, of the first of the named columns, and (M, C) numbers of the others.
+
+    Raises:
+        InputError: a line has other words, or ``check`` raises it of a line's numbers.
+    """
+    stamps: list[StampT] = []
+    table: list[list[float]] = []
+    for where, words in rows:
+        check_words(where, words, names)
+        stamp = to_stamp(where, words[0])
+        check_order(where, stamps, stamp)
+        stamps.append(stamp)
+        table.append(to_numbers(where, words[1:], names[1:]))
+        check(where, table[-1])
+    return stamps, np.array(table)
 
 
 def check_present(images: list[Path], listed_in: str) -> None:

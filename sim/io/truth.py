@@ -42,8 +42,7 @@ def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.n
         check_order(where, [r[0] for r in rows[-1:]], row[0])
         if len(row) < len(_TUM_NAMES):
             continue
-        check_position(where, row[1:4])
-        check_quaternion(f"{where}: qx qy qz qw", row[4:])
+        check_pose(where, row[1:])
         rows.append(row)
     if not rows:
         raise InputError(str(path), "holds no pose", "add poses, or delete it to run without ground truth")
@@ -81,6 +80,12 @@ def check_position(where: str, position_m: Iterable[float]) -> None:
         if abs(value) > _MOST_POSITION_M:
             problem = f"{value:g} is no coordinate in metres"
             raise InputError(f"{where}: position", problem, f"give metres, at most {_MOST_POSITION_M:g}")
+
+
+def check_pose(where: str, pose: list[float], names: list[str] = _TUM_NAMES[1:]) -> None:
+    """Raise InputError for seven numbers, in the order of the names, that are no position and quaternion."""
+    check_position(where, pose[:3])
+    check_quaternion(f"{where}: {' '.join(names[3:])}", pose[3:])
 
 
 def check_quaternion(where: str, values: list[float]) -> None:

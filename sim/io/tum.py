@@ -11,7 +11,7 @@ from dslab.sim.io.camera_file import read_camera, write_camera
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import DepthFolder, GrayFolder
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
-from dslab.sim.io.text import check_order, check_present, read_rows, to_stamp
+from dslab.sim.io.text import check_present, read_list, to_stamp
 from dslab.sim.io.truth import half_interval_s, nearest, read_tum_poses, tum_poses_text
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import FrameSource, Sequence
@@ -31,7 +31,6 @@ def load_tum(folder: Path) -> Sequence:
     camera = read_camera(folder / layout.CAMERA_FILE)
     stamps_s, images = _read_list(folder / layout.FRAMES_FILE)
     frames = GrayFolder(images, (camera.height_px, camera.width_px))
-    frames[0]  # a wrong size shows in the first image already
     tolerance_s = half_interval_s(stamps_s, camera.fps)
     return Sequence(
         camera=camera,
@@ -45,18 +44,8 @@ def load_tum(folder: Path) -> Sequence:
 
 def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
     """Read (N,) stamps and the image paths of a list of frames."""
-    stamps: list[float] = []
-    images: list[Path] = []
-    for where, words in read_rows(path, "give a folder with the list of frames, `stamp filename` per line"):
-        if len(words) != 2:
-            problem = f"{len(words)} words where stamp and filename belong"
-            raise InputError(where, problem, "write `stamp filename`; the file may be cut short")
-        stamp_s = to_stamp(where, words[0])
-        check_order(where, stamps, stamp_s)
-        stamps.append(stamp_s)
-        images.append(path.parent / words[1])
-    if not stamps:
-        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    stamps, names = read_list(path, None, to_stamp)
+    images = [path.parent / name for name in names]
     check_present(images, path.name)
     return np.array(stamps), images
 
@@ -93,8 +82,7 @@ def write_tum(
     Raises:
         InputError: the folder is not empty or cannot be written, the disk is full; nothing is left behind.
     """
-    if depth and sequence.depths is None:
-        raise InputError(sequence.name, "has no depth images", "render it with depth")
+    coded = CodedDepth(sequence) if depth else None
     with new_directory(directory) as folder:
         write_camera(sequence.camera, folder / layout.CAMERA_FILE)
         if sequence.T_world_cam is not None:
@@ -102,16 +90,17 @@ def write_tum(
             (folder / layout.TRUTH_FILE).write_text(text)
         write_sidecars(sequence, folder)
         _write_list(sequence, folder, "rgb", layout.FRAMES_FILE, sequence.frames, progress)
-        if depth and sequence.depths is not None:
-            coded = CodedDepth(sequence.depths)
+        if coded:
             _write_list(sequence, folder, "depth", layout.DEPTH_FILE, coded, progress)
 
 
 class CodedDepth:
-    """Depth as 16-bit images; depth out of range becomes unknown."""
+    """A sequence's depth as 16-bit images; depth out of range becomes unknown. Raises InputError without."""
 
-    def __init__(self, depths: FrameSource) -> None:
-        self._depths = depths
+    def __init__(self, sequence: Sequence) -> None:
+        if sequence.depths is None:
+            raise InputError(sequence.name, "has no depth images", "render it with depth")
+        self._depths = sequence.depths
 
     def __len__(self) -> int:
         return len(self._depths)

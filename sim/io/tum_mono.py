@@ -22,7 +22,15 @@ from dslab.sim.io.camera_file import check_camera
 from dslab.sim.io.fov_camera import FovCamera, read_fov_camera
 from dslab.sim.io.images import GrayFolder, GrayZip, numbered_images, read_raw
 from dslab.sim.io.sidecars import check_exposure, read_sidecars
-from dslab.sim.io.text import check_order, check_words, read_rows, to_frame_number, to_numbers, to_stamp
+from dslab.sim.io.text import (
+    check_frames,
+    check_order,
+    check_words,
+    read_rows,
+    to_frame_number,
+    to_numbers,
+    to_stamp,
+)
 from dslab.sim.io.truth import half_interval_s, read_tum_poses
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import FrameSource, Sequence
@@ -129,8 +137,7 @@ def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         for exposure_ms in row[1:]:
             check_exposure(f"{where}: exposure_ms", exposure_ms / 1000)
         rows.append(row)
-    if not rows:
-        raise InputError(str(path), "lists no frame", "give a folder with at least one frame")
+    check_frames(path, rows)
     stamps_s = np.array([row[0] for row in rows])
     if len(names) < len(_TIME_NAMES):
         return stamps_s, None

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from dslab.experiments.cli.commands import app
 from dslab.experiments.runs.sources import open_sequence
 from dslab.scenarios.errors import InputError
-from dslab.sim.io.euroc_reader import load_euroc_imu
+from dslab.sim.io.euroc import load_euroc_imu
 from dslab.sim.sensors.imu import GRAVITY_MPS2
 
 SPEC = """

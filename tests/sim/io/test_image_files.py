@@ -72,9 +72,9 @@ def test_an_image_of_another_size_is_refused_before_it_is_decoded(tmp_path, unde
     path = tmp_path / "0.png"
     for width, height in ((48, 64), (30000, 30000)):
         path.write_bytes(png_of_size(width, height))
-        for read in (GrayFolder([path], SHAPE), DepthFolder([path], SHAPE)):
+        for of in (GrayFolder, DepthFolder):
             with pytest.raises(InputError, match=rf"is {width}x{height} pixels, camera\.yaml says 64x48"):
-                read[0]
+                of([path], SHAPE)[0]
     with pytest.raises(InputError, match=r"0\.png: width: the SLAM takes no image of 30000 pixels"):
         image_shape(path)
     path.write_bytes(png_of_size(16000, 16000))

@@ -10,7 +10,7 @@ from io_sequences import COUNT, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.errors import InputError
-from dslab.sim.io.euroc_reader import load_euroc_imu
+from dslab.sim.io.euroc import load_euroc_imu
 from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.imu import ImuModel, ImuReadings, ImuTruth

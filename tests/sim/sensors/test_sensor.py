@@ -69,12 +69,12 @@ def test_a_calibration_error_is_in_the_frames_and_not_in_the_camera(tmp_path):
 
 
 def test_the_noise_of_a_seed_is_drawn_once_and_none_where_there_is_none(monkeypatch):
-    drawn, draw = [], sensor._drawn
-    monkeypatch.setattr(sensor, "_drawn", lambda size, seed: drawn.append(seed) or draw(size, seed))
+    asked, stream = [], sensor.rng_for
+    monkeypatch.setattr(sensor, "rng_for", lambda *names: asked.append(names) or stream(*names))
     gray = np.full((64, 96), 128, np.uint8)
     for shot in (0.0, 2.0):
         first = SensorNoise((64, 96), 2.0, 41, shot).added(gray, 5)
         np.testing.assert_array_equal(SensorNoise((64, 96), 2.0, 41, shot).added(gray, 5), first)
         assert not np.array_equal(SensorNoise((64, 96), 2.0, 42, shot).added(gray, 5), first)
     SensorNoise((64, 96), 0.0, 43).added(gray, 5)
-    assert drawn == [41, 42, 41, 42]
+    assert [seed for seed, _, what in asked if what == "bank"] == [41, 42, 41, 42]
