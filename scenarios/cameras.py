@@ -7,67 +7,39 @@ from pydantic import Field, model_validator
 from dslab.scenarios.lenses import lens_fault
 from dslab.scenarios.strict import Strict, with_defaults_of
 
+
+def _published(width: int, height: int, K: tuple[float, ...], fps: float, **lens: float) -> dict[str, Any]:
+    """The fields of a camera with fx, fy, cx and cy in pixels, and radtan distortion if any."""
+    size = {"width_px": width, "height_px": height}
+    focal = dict(zip(("fx_px", "fy_px", "cx_px", "cy_px"), K, strict=True))
+    return {**size, **focal, "fps": fps, **({"distortion": {"model": "radtan", **lens}} if lens else {})}
+
+
 PRESETS: dict[str, dict[str, Any]] = {
     # Sequences 00 to 02, rectified. Source: calib.txt of the KITTI odometry benchmark.
-    "kitti": {
-        "width_px": 1241,
-        "height_px": 376,
-        "fx_px": 718.856,
-        "fy_px": 718.856,
-        "cx_px": 607.1928,
-        "cy_px": 185.2157,
-        "fps": 10.0,
-    },
+    "kitti": _published(1241, 376, (718.856, 718.856, 607.1928, 185.2157), 10.0),
     # The lens of 98 degrees, rectified by the data set's own `crop` to 640x480.
     # Source: camera.txt of the TUM monocular visual odometry data set.
-    "tum-mono": {
-        "width_px": 640,
-        "height_px": 480,
-        "fx_px": 277.307,
-        "fy_px": 291.357,
-        "cx_px": 312.230,
-        "cy_px": 239.770,
-        "fps": 50.0,
-    },
+    "tum-mono": _published(640, 480, (277.307, 291.357, 312.230, 239.770), 50.0),
     # Left camera of the VI-sensor, as taken. Source: mav0/cam0/sensor.yaml of the EuRoC data set.
-    "euroc": {
-        "width_px": 752,
-        "height_px": 480,
-        "fx_px": 458.654,
-        "fy_px": 457.296,
-        "cx_px": 367.215,
-        "cy_px": 248.375,
-        "fps": 20.0,
-        "distortion": {
-            "model": "radtan",
-            "k1": -0.28340811,
-            "k2": 0.07395907,
-            "p1": 0.00019359,
-            "p2": 1.76187114e-05,
-        },
-    },
+    "euroc": _published(
+        *(752, 480, (458.654, 457.296, 367.215, 248.375), 20.0),
+        k1=-0.28340811,
+        k2=0.07395907,
+        p1=0.00019359,
+        p2=1.76187114e-05,
+    ),
     # Left infrared camera of a D435i, rectified by the device.
     # Source: the example calibration that comes with ORB-SLAM3.
-    "realsense": {
-        "width_px": 640,
-        "height_px": 480,
-        "fx_px": 382.613,
-        "fy_px": 382.613,
-        "cx_px": 320.183,
-        "cy_px": 236.455,
-        "fps": 30.0,
-    },
+    "realsense": _published(640, 480, (382.613, 382.613, 320.183, 236.455), 30.0),
     # iPhone 6s, upright video. Source: calibration of sequences 01 to 12 of the ADVIO data set.
-    "phone": {
-        "width_px": 720,
-        "height_px": 1280,
-        "fx_px": 1077.2,
-        "fy_px": 1079.3,
-        "cx_px": 362.145,
-        "cy_px": 636.3873,
-        "fps": 60.0,
-        "distortion": {"model": "radtan", "k1": 0.0478, "k2": 0.0339, "p1": -0.00033, "p2": -0.00091},
-    },
+    "phone": _published(
+        *(720, 1280, (1077.2, 1079.3, 362.145, 636.3873), 60.0),
+        k1=0.0478,
+        k2=0.0339,
+        p1=-0.00033,
+        p2=-0.00091,
+    ),
 }
 """Published cameras: the fields that they set."""
 

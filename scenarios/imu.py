@@ -6,38 +6,18 @@ from pydantic import Field, model_validator
 
 from dslab.scenarios.strict import Strict, with_defaults_of
 
+_FIELDS = ("rate_hz", "gyro_noise", "gyro_walk", "accel_noise", "accel_walk")
 PRESETS: dict[str, dict[str, float]] = {
-    # ADIS16448 of the VI-sensor. Source: mav0/imu0/sensor.yaml of the EuRoC data set.
-    "euroc": {
-        "rate_hz": 200.0,
-        "gyro_noise": 1.6968e-4,
-        "gyro_walk": 1.9393e-5,
-        "accel_noise": 2.0e-3,
-        "accel_walk": 3.0e-3,
-    },
-    # BMI160. Source: imu_config.yaml of the TUM VI data set.
-    "tum-vi": {
-        "rate_hz": 200.0,
-        "gyro_noise": 1.6e-4,
-        "gyro_walk": 2.2e-5,
-        "accel_noise": 2.8e-3,
-        "accel_walk": 8.6e-4,
-    },
-    # BMI055 of a D435i. Source: the example calibration that comes with ORB-SLAM3.
-    "realsense": {
-        "rate_hz": 200.0,
-        "gyro_noise": 1e-3,
-        "gyro_walk": 1e-6,
-        "accel_noise": 1e-2,
-        "accel_walk": 1e-4,
-    },
-    "perfect": {
-        "rate_hz": 200.0,
-        "gyro_noise": 0.0,
-        "gyro_walk": 0.0,
-        "accel_noise": 0.0,
-        "accel_walk": 0.0,
-    },
+    name: dict(zip(_FIELDS, values, strict=True))
+    for name, values in {
+        # ADIS16448 of the VI-sensor. Source: mav0/imu0/sensor.yaml of the EuRoC data set.
+        "euroc": (200.0, 1.6968e-4, 1.9393e-5, 2.0e-3, 3.0e-3),
+        # BMI160. Source: imu_config.yaml of the TUM VI data set.
+        "tum-vi": (200.0, 1.6e-4, 2.2e-5, 2.8e-3, 8.6e-4),
+        # BMI055 of a D435i. Source: the example calibration that comes with ORB-SLAM3.
+        "realsense": (200.0, 1e-3, 1e-6, 1e-2, 1e-4),
+        "perfect": (200.0, 0.0, 0.0, 0.0, 0.0),
+    }.items()
 }
 """Published sensors, and one without noise: the fields that they set."""
 

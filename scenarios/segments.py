@@ -5,7 +5,7 @@ Segments of different kinds may lie over one another in time; those of one kind 
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -288,66 +288,38 @@ class BandwidthLoss(ImageSegment):
     block_px: int = Field(16, ge=4, le=128, description="side of a block")
 
 
-SEGMENT_KINDS: Kinds[SegmentBase] = Kinds(
-    "segment",
-    (
-        LowTexture,
-        RepeatedTexture,
-        MotionBlur,
-        FastRotation,
-        PureRotation,
-        FrameDrops,
-        TimeJitter,
-        Fog,
-        MovingObjects,
-        RollingShutter,
-        Defocus,
-        LensDirt,
-        Rain,
-        ShallowFocus,
-        LensFlare,
-        CrackedLens,
-        Vignetting,
-        CoveredLens,
-        DayToNight,
-        Flicker,
-        LowLight,
-        OverExposure,
-        AutoExposureLag,
-        Jpeg,
-        BandwidthLoss,
-    ),
+_Known = (
+    LowTexture
+    | RepeatedTexture
+    | MotionBlur
+    | FastRotation
+    | PureRotation
+    | FrameDrops
+    | TimeJitter
+    | Fog
+    | MovingObjects
+    | RollingShutter
+    | Defocus
+    | LensDirt
+    | Rain
+    | ShallowFocus
+    | LensFlare
+    | CrackedLens
+    | Vignetting
+    | CoveredLens
+    | DayToNight
+    | Flicker
+    | LowLight
+    | OverExposure
+    | AutoExposureLag
+    | Jpeg
+    | BandwidthLoss
 )
+SEGMENT_KINDS: Kinds[SegmentBase] = Kinds("segment", get_args(_Known))
 """The model of every kind of segment, by kind; ``sim.register_degradation`` adds one."""
 
 if TYPE_CHECKING:
-    Segment = (
-        LowTexture
-        | RepeatedTexture
-        | MotionBlur
-        | FastRotation
-        | PureRotation
-        | FrameDrops
-        | TimeJitter
-        | Fog
-        | MovingObjects
-        | RollingShutter
-        | Defocus
-        | LensDirt
-        | Rain
-        | ShallowFocus
-        | LensFlare
-        | CrackedLens
-        | Vignetting
-        | CoveredLens
-        | DayToNight
-        | Flicker
-        | LowLight
-        | OverExposure
-        | AutoExposureLag
-        | Jpeg
-        | BandwidthLoss
-    )
+    Segment = _Known
 else:
     Segment = Annotated[SegmentBase, SEGMENT_KINDS]
 

@@ -1,6 +1,6 @@
 """The worlds of a spec, one model per kind."""
 
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -57,6 +57,11 @@ class Aliased(WorldBase):
     """A world that can repeat itself."""
 
     aliased: Aliasing | None = Field(None, description="what occurs again; none: every surface is unique")
+
+    @property
+    def twins(self) -> Aliasing | None:
+        """How alike the halves of the world are; None if they differ."""
+        return self.aliased if self.aliased and self.aliased.places else None
 
 
 Surfaces = Annotated[
@@ -145,15 +150,11 @@ class BuildingWorld(Lamps, Aliased):
     )
 
 
-WORLD_KINDS: Kinds[WorldBase] = Kinds(
-    "world",
-    (RoomWorld, CorridorWorld, BuildingWorld, CityWorld, MotorwayWorld, FieldWorld, WarehouseWorld),
-)
+_Known = RoomWorld | CorridorWorld | BuildingWorld | CityWorld | MotorwayWorld | FieldWorld | WarehouseWorld
+WORLD_KINDS: Kinds[WorldBase] = Kinds("world", get_args(_Known))
 """The model of every kind of world, by kind; ``sim.register_world`` adds one."""
 
 if TYPE_CHECKING:
-    World = (
-        RoomWorld | CorridorWorld | BuildingWorld | CityWorld | MotorwayWorld | FieldWorld | WarehouseWorld
-    )
+    World = _Known
 else:
     World = Annotated[WorldBase, WORLD_KINDS]

@@ -88,7 +88,8 @@ class FolderCache:
         if fault := _fault(entry):
             self.drop(entry, fault)
             return None
-        _touch(entry / _MANIFEST)
+        with suppress(OSError):  # a read-only cache can still be read
+            os.utime(entry / _MANIFEST)
         return entry
 
     def load(self, key: str, read: Callable[[Path], ContentT]) -> ContentT | None:
@@ -220,13 +221,6 @@ def _discard(entry: Path) -> None:
     """Rename the entry in one step, then delete it."""
     with suppress(OSError), unfinished_folder(entry.parent, UNFINISHED) as away:  # another may be faster
         entry.rename(away / entry.name)
-
-
-def _touch(path: Path) -> None:
-    try:
-        os.utime(path)
-    except OSError:
-        return  # a read-only cache can still be read
 
 
 def _modified_s(path: Path) -> float:

@@ -30,7 +30,7 @@ class Preview:
     world: WorldModel
     backend: RenderBackend
 
-    def expose_frames(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray]:
+    def expose_frames(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray, list[SegmentLink]]:
         """Return frames of the sequence, equal to those of the whole rendering.
 
         A frame depends on the plan, its number and its time, never on earlier frames: every degradation draws
@@ -40,13 +40,9 @@ class Preview:
             indices: K indices into ``plan.stamps_s``, increasing.
 
         Returns:
-            K images (H, W) uint8, and (K,) float64 median length of their motion blur, pixels.
+            K images (H, W) uint8, (K,) float64 median length of their motion blur, pixels, and the segments
+            on images as they have acted on these frames.
         """
-        images, blur_px, _ = self.exposed(indices)
-        return images, blur_px
-
-    def exposed(self, indices: Many[int]) -> tuple[list[np.ndarray], np.ndarray, list[SegmentLink]]:
-        """Return the same, and the segments on images as they have acted on these frames."""
         kept = np.zeros(len(self.plan.stamps_s), bool)
         kept[list(indices)] = True
         part, scenario = self.plan.only(kept), self.scenario

@@ -53,7 +53,7 @@ def _acts_on_plan(plan: FramePlan, segment: Segment) -> bool:
 
 def _acts_on(looked: Preview, segment: Segment, frames: np.ndarray) -> bool:
     """True if the segment acts on one of these frames, (K,) increasing indices."""
-    _, blur_px, links = looked.exposed(frames.tolist())
+    _, blur_px, links = looked.expose_frames(frames.tolist())
     part = looked.plan.only(np.isin(np.arange(len(looked.plan.stamps_s)), frames))
     truths, _ = truths_of((segment,), part, links, blur_px)
     return truths[0].first_frame >= 0

@@ -116,7 +116,7 @@ def chosen_frames(plan: FramePlan, segments: tuple[SegmentBase, ...], count: int
 def _thumbs(look: Preview, count: int, folder: Path, pictures: str) -> tuple[Thumb, ...]:
     segments, plan = look.scenario.segments, look.plan
     chosen = chosen_frames(plan, segments, count)
-    images, blur_px = look.expose_frames(chosen)
+    images, blur_px, _ = look.expose_frames(chosen)
     thumbs = []
     for place, (frame, image) in enumerate(zip(chosen, images, strict=True)):
         scale = min(1.0, np.sqrt(_THUMB_PIXELS / image.size))

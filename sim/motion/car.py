@@ -30,11 +30,7 @@ def plan_car(route: Route, trajectory: Trajectory, duration_s: float, seed: int)
     if it is too short for the duration. The car already moves when the sequence begins. Its direction is the
     path's tangent (nonholonomic); the camera sits at ``eye_height_m`` over the path.
 
-    Args:
-        route: free space to move in.
-        trajectory: of kind ``car``.
-        duration_s: the motion is defined from ``-PAD_S`` to ``duration_s + PAD_S``.
-        seed: root seed; the streams are ``("motion", ...)``.
+    Arguments as of ``sim.motion.plan_motion``.
     """
     rng = rng_for(seed, "motion", "path")
     line = smooth_path(route, rng, wander_sigma_m=_WANDER_M, softening_m=_STEERING_M)

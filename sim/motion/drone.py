@@ -44,11 +44,7 @@ def plan_drone(route: Route, trajectory: Trajectory, duration_s: float, seed: in
 
     The body is simulated; its poses become a spline, so that velocity and rate are known in closed form.
 
-    Args:
-        route: free space to move in.
-        trajectory: of kind ``drone``; ``eye_height_m`` is the height of flight.
-        duration_s: the motion is defined from ``-PAD_S`` to ``duration_s + PAD_S``.
-        seed: root seed; the streams are ``("motion", ...)``.
+    Arguments as of ``sim.motion.plan_motion``.
     """
     knots_s = knot_times(duration_s, _KNOT_S)
     wanted = _wanted(route, trajectory, duration_s, seed, knots_s)

@@ -39,11 +39,7 @@ def plan_walk(route: Route, trajectory: Trajectory, duration_s: float, seed: int
     A closed route is walked round and round from a seeded start; an open one from its start, more slowly
     if it is too short for the duration.
 
-    Args:
-        route: free space to move in.
-        trajectory: limits, gaze, eye height and sway.
-        duration_s: the motion is defined from ``-PAD_S`` to ``duration_s + PAD_S``.
-        seed: root seed; the streams are ``("motion", ...)``.
+    Arguments as of ``sim.motion.plan_motion``.
     """
     knots_s = knot_times(duration_s, _KNOT_S)
     position, turns = _walked(route, trajectory, duration_s, seed, knots_s)

@@ -74,7 +74,7 @@ class ImuModel:
     @classmethod
     def of_spec(cls, imu: Imu) -> "ImuModel":
         """The sensor of a scenario."""
-        return cls(imu.rate_hz, imu.gyro_noise, imu.gyro_walk, imu.accel_noise, imu.accel_walk)
+        return cls(**imu.model_dump(exclude={"preset"}))
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def test_some_frames_are_those_of_the_whole_sequence(kinds, camera, tmp_path):
     # Every third frame: no frame follows its neighbour, and every segment has some.
     indices = list(range(1, len(look.plan.stamps_s), 3))
     assert all(look.plan.within(segment)[indices].any() for segment in scenario.segments)
-    images, blur_px = look.expose_frames(indices)
+    images, blur_px, _ = look.expose_frames(indices)
     assert len(whole) == len(look.plan.stamps_s)
     for index, image in zip(indices, images, strict=True):
         assert np.array_equal(image, whole.frames[index]), f"frame {index}"

@@ -42,7 +42,7 @@ def build_world(spec: FieldWorld, seed: int) -> WorldModel:
     rng = rng_for(seed, "world", "field")
     half = np.full(2, spec.size_m / 2 + _WOODS_BEYOND_M)
     line = _fine(layout(spec, seed).centre_m)
-    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    twins = spec.twins
     hills_m = min(_HIGHEST_HILL_M, _HILLS_SHARE * spec.size_m)
     relief = Relief(line, half, hills_m, rng, turned=twins is not None)
     light = Daylight(-half, half, rng, spec)

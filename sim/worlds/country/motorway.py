@@ -50,7 +50,7 @@ def build_world(spec: MotorwayWorld, seed: int) -> WorldModel:
     line, left = _line(spec, seed)
     start = 0 if spec.loop else int(np.argmin(np.abs(_stations(spec))))
     line = line - (line + _LANE_M * left)[start]
-    twins = spec.aliased if spec.loop and spec.aliased and spec.aliased.places else None
+    twins = spec.twins if spec.loop else None
     light = Daylight(line.min(axis=0) - 70, line.max(axis=0) + 70, rng, spec)
     sections = [(line[k : k + 2], left[k : k + 2]) for k in range(len(line) - 1)]
     # Of a ring whose halves are twins, only the first is built.

@@ -40,7 +40,7 @@ def build_world(spec: BuildingWorld, seed: int) -> WorldModel:
     """The building with its textures; the floors differ in plan, finishes and furniture."""
     plan, eyes = Plan.of(spec), _eyes(spec)
     stairwells = stair_light(plan)
-    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    twins = spec.twins
     panels: list[Panel] = []
     lights: dict[str, tuple[Lighting, float]] = {}
     ground: list[tuple[list[Panel], Lighting]] = []

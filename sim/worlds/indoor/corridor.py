@@ -111,7 +111,7 @@ def build_world(spec: CorridorWorld, seed: int) -> WorldModel:
     rng = rng_for(seed, "world", "corridor")
     nodes = _nodes(spec, seed)
     legs = list(_legs(spec, nodes))
-    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    twins = spec.twins
     floor = str(rng.choice(FLOOR_FINISHES))
     panels: list[Panel] = []
     footprints, lamps = [], []

@@ -33,7 +33,7 @@ def build_world(spec: RoomWorld, seed: int) -> WorldModel:
     """The room with its textures."""
     rng = rng_for(seed, "world", "room")
     half = _half(spec)
-    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    twins = spec.twins
     corners = half * [[-1, -1], [-1, 1], [1, 1], [1, -1]]
     sides = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
     panels: list[Panel] = []

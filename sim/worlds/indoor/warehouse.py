@@ -38,7 +38,7 @@ def layout(spec: WarehouseWorld, seed: int) -> Route:
 def build_world(spec: WarehouseWorld, seed: int) -> WorldModel:
     """The warehouse with its textures."""
     rng = rng_for(seed, "world", "warehouse")
-    twins = spec.aliased if spec.aliased and spec.aliased.places else None
+    twins = spec.twins
     racks: dict[tuple[int, float, int], Piece] = {}
     bays = max(3, round(spec.length_m / _BAY_M))
     edges = np.linspace(-spec.length_m / 2, spec.length_m / 2, bays + 1)

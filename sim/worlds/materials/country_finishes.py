@@ -11,6 +11,8 @@ from dslab.sim.worlds.materials.textures import (
     dead_leaves,
     fractal_noise,
     grain,
+    multiply,
+    shade,
 )
 
 
@@ -18,8 +20,7 @@ def pasture(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Grass in tufts, grazed and dry places, molehills, flowers."""
     blotches(image, rng, max(2.0, 0.22 * scale), (84, 150))
     worn = fractal_noise((max(8, image.shape[0] // 16), max(8, image.shape[1] // 16)), rng, 0.8)
-    worn = cv2.resize(np.clip(1 + 0.13 * worn, 0.65, 1.4), image.shape[::-1])
-    cv2.multiply(image, worn, dst=image, dtype=cv2.CV_8U)
+    multiply(image, np.clip(1 + 0.13 * worn, 0.65, 1.4))
     # At a low angle only features of decimetres remain visible on the ground: these need contrast.
     dead_leaves(image, scale, rng, 4.0, (0.07, 0.5), (50, 185))
     add_noise(image, rng, 9, 0.85)
@@ -96,8 +97,7 @@ def barn(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
         motifs.frame(gate, 0.07 * scale, 190)
         cv2.line(gate, (0, 0), gate.shape[::-1], 180, max(1, round(0.08 * scale)), cv2.LINE_AA)
     courses(image[:roof_high], scale, rng, (0.6, 0.35), 0.5, 16)
-    roof = image[:roof_high]
-    cv2.multiply(roof, np.full(roof.shape, 0.8), dst=roof, dtype=cv2.CV_8U)
+    shade(image[:roof_high], 0.8)
     motifs.stains(image, scale, rng, 0.5)
     dead_leaves(image, scale, rng, 3, (0.03, 0.2), (50, 190))
     add_noise(image, rng, 8, 0.9)

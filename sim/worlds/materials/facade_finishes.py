@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from dslab.sim.worlds.materials import motifs
-from dslab.sim.worlds.materials.textures import add_noise, courses, dead_leaves
+from dslab.sim.worlds.materials.textures import add_noise, courses, dead_leaves, shade
 
 _GROUND_FLOOR_M, _STOREY_M = 3.9, 3.1
 _SMALLEST_LEAF_PX = 10
@@ -59,7 +59,7 @@ def gable(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
         _window(image, scale, rng, (x, y), style)
     roof = image[: max(2, height // 4)]
     courses(roof, scale, rng, (0.25, 0.3), 0.5, 13)
-    cv2.multiply(roof, np.full(roof.shape, 0.62), dst=roof, dtype=cv2.CV_8U)
+    shade(roof, 0.62)
     add_noise(image, rng, 5, 0.9)
 
 
@@ -110,15 +110,10 @@ def _cut(
     return motifs.crop(image, scale, corner_m[0], corner_m[1], size_m)
 
 
-def _shade(image: np.ndarray, factor: float) -> None:
-    if image.size:
-        cv2.multiply(image, np.full(image.shape, factor), dst=image, dtype=cv2.CV_8U)
-
-
 def _band(image: np.ndarray, scale: float, y_m: float, high_m: float, tone: int) -> None:
     """A moulding with its shadow."""
     width = image.shape[1] / scale
-    _shade(_cut(image, scale, (0.0, y_m + high_m), (width, 0.18)), 0.6)
+    shade(_cut(image, scale, (0.0, y_m + high_m), (width, 0.18)), 0.6)
     _cut(image, scale, (0.0, y_m), (width, high_m))[:] = tone
     _cut(image, scale, (0.0, y_m + 0.6 * high_m), (width, 0.05))[:] = int(0.75 * tone)
 
@@ -138,8 +133,8 @@ def _window(
     if min(reveal.shape) < 6:
         return
     _glass(reveal, scale, rng, style)
-    _shade(reveal[: max(1, round(0.12 * scale))], 0.45)
-    _shade(_cut(image, scale, (x - 0.1, y + high + 0.1), (wide + 0.25, rng.uniform(0.15, 0.5))), 0.75)
+    shade(reveal[: max(1, round(0.12 * scale))], 0.45)
+    shade(_cut(image, scale, (x - 0.1, y + high + 0.1), (wide + 0.25, rng.uniform(0.15, 0.5))), 0.75)
     _cut(image, scale, (x - 0.15, y + high), (wide + 0.3, 0.1))[:] = min(245, style.trim + 20)
 
 
@@ -174,7 +169,7 @@ def _balcony(image: np.ndarray, scale: float, rng: np.random.Generator, x_m: flo
     """A slab with its shadow and a railing in front of the window."""
     wide = rng.uniform(1.7, 2.3)
     left = x_m - wide / 2
-    _shade(_cut(image, scale, (left + 0.1, y_m + 0.15), (wide, 0.6)), 0.5)
+    shade(_cut(image, scale, (left + 0.1, y_m + 0.15), (wide, 0.6)), 0.5)
     _cut(image, scale, (left, y_m), (wide, 0.17))[:] = int(rng.integers(170, 225))
     railing = _cut(image, scale, (left, y_m - 0.95), (wide, 0.95))
     if min(railing.shape) < 6:
@@ -242,7 +237,7 @@ def _shop(
         awning = _cut(image, scale, (x - 0.1, y + 0.6), (wide_m + 0.2, rng.uniform(0.5, 0.9)))
         awning[:] = int(rng.integers(60, 220))
         awning[:, : awning.shape[1]][:, :: max(4, round(0.5 * scale))] = int(rng.integers(60, 220))
-        _shade(_cut(image, scale, (x, y + 1.3), (wide_m, 0.5)), 0.5)
+        shade(_cut(image, scale, (x, y + 1.3), (wide_m, 0.5)), 0.5)
 
 
 def _door(leaf: np.ndarray, scale: float, rng: np.random.Generator) -> None:
@@ -266,14 +261,14 @@ def _gate(leaf: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     leaf[:: max(2, round(0.14 * scale))] = 70
     if rng.random() < 0.6:
         motifs.lettering(leaf[leaf.shape[0] // 3 :], rng, int(rng.integers(3, 7)), int(rng.choice([25, 235])))
-    _shade(leaf[: max(1, round(0.2 * scale))], 0.4)
+    shade(leaf[: max(1, round(0.2 * scale))], 0.4)
 
 
 def _pipes(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """A downpipe near an edge with its shadow and brackets."""
     height, width = image.shape
     x, thick = int(width * rng.choice([0.02, 0.97])), max(1, round(0.1 * scale))
-    _shade(image[:, x + thick : x + 2 * thick], 0.65)
+    shade(image[:, x + thick : x + 2 * thick], 0.65)
     image[:, x : x + thick] = int(rng.choice([70, 110, 180]))
     for y in range(0, height, max(4, round(1.8 * scale))):
         image[y : y + thick, max(0, x - thick) : x + 2 * thick] = 60

@@ -1,11 +1,10 @@
 """Finishes of a warehouse: racks with goods, floor, cladding, roof."""
 
-import cv2
 import numpy as np
 
 from dslab.sim.worlds.materials import motifs
 from dslab.sim.worlds.materials.furniture_finishes import crate
-from dslab.sim.worlds.materials.textures import add_noise, dead_leaves
+from dslab.sim.worlds.materials.textures import add_noise, dead_leaves, multiply
 
 RACK_CELLS = (4, 5)
 """Columns and rows of a rack's sheet: goods, in the last row steel and the dark behind the goods."""
@@ -61,8 +60,7 @@ def cladding(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     height, width = image.shape
     for y in np.arange(rng.uniform(0.1, 0.5), height / scale, 0.9):
         image[int(y * scale) : int(y * scale) + 2, rib // 16 :: rib] = 62
-    streaks = rng.uniform(0.8, 1.06, (3, max(2, width // 9))).astype(np.float32)
-    cv2.multiply(image, cv2.resize(streaks, (width, height)), dst=image, dtype=cv2.CV_8U)
+    multiply(image, rng.uniform(0.8, 1.06, (3, max(2, width // 9))))
     add_noise(image, rng, 12, 0.85)
     motifs.stains(image, scale, rng, 0.5)
     dead_leaves(image, scale, rng, 9, (0.012, 0.07), (85, 190))

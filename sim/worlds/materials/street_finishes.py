@@ -11,6 +11,7 @@ from dslab.sim.worlds.materials.textures import (
     dead_leaves,
     fractal_noise,
     grain,
+    multiply,
 )
 
 _CLOUD_EDGE_PX = 4.0
@@ -151,11 +152,7 @@ def noise_wall(image: np.ndarray, scale: float, rng: np.random.Generator) -> Non
 def bridge(image: np.ndarray, scale: float, rng: np.random.Generator) -> None:
     """Concrete with the marks of its boards, streaks below the joints, patches."""
     courses(image, scale, rng, (2.4, 0.5), 0.4, 10)
-    height, width = image.shape
-    streaks = cv2.resize(
-        rng.uniform(0.75, 1.08, (2, max(2, width // 10))).astype(np.float32), (width, height)
-    )
-    cv2.multiply(image, streaks, dst=image, dtype=cv2.CV_8U)
+    multiply(image, rng.uniform(0.75, 1.08, (2, max(2, image.shape[1] // 10))))
     add_noise(image, rng, 10, 0.75)
     motifs.stains(image, scale, rng, 0.4)
     dead_leaves(image, scale, rng, 1.5, (0.05, 0.25), (90, 190))

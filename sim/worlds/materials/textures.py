@@ -71,6 +71,12 @@ def multiply(image: np.ndarray, gain: np.ndarray) -> None:
     cv2.multiply(image, full, dst=image, dtype=cv2.CV_8U)
 
 
+def shade(image: np.ndarray, factor: float) -> None:
+    """Multiply in place by one factor."""
+    if image.size:
+        cv2.multiply(image, np.full(image.shape, factor), dst=image, dtype=cv2.CV_8U)
+
+
 def dead_leaves(
     image: np.ndarray,
     scale: float,

@@ -141,7 +141,7 @@ def plan_streets(spec: CityWorld, seed: int) -> Plan:
     for start, end in pairwise(ends):
         way = (end - start) / np.linalg.norm(end - start)
         streets.append(Street(start - OVERSHOOT_M * way, end + OVERSHOOT_M * way, False, True))
-    turned = spec.loop and spec.aliased is not None and spec.aliased.places > 0
+    turned = spec.loop and spec.twins is not None
     centre = corners.mean(axis=0) if turned else None
     for street in tuple(streets[:2] if turned else streets):
         _add_side_streets(streets, street, rng, centre)
