@@ -66,14 +66,9 @@ _IMU_KEYS = {
 
 
 def load_euroc(folder: Path) -> Sequence:
-    """Read the left camera of an EuRoC folder, with each frame's nearest true pose.
+    """Read the left camera of a folder that holds ``mav0``, with each frame's nearest true pose.
 
-    Args:
-        folder: the folder that holds ``mav0``.
-
-    Raises:
-        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
-            if the image is unreadable or of another size.
+    Errors as of ``load_sequence``.
     """
     camera, T_body_cam = _read_camera(folder / CAMERA_DIR / SENSOR_FILE)
     stamps, images = _read_frames(folder / CAMERA_DIR / TABLE_FILE)
@@ -194,18 +189,7 @@ def write_euroc(
     imu: tuple[ImuReadings, ImuTruth | None] | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Write a sequence in the EuRoC form.
-
-    Args:
-        sequence: what to write.
-        directory: new or empty folder; it will hold ``mav0``.
-        imu: readings and, if known, the truth at the frames, from ``sim.sensors.imu.record_imu``; None
-            for none.
-        progress: called with step, frames done and frames in all.
-
-    Raises:
-        InputError: the folder is not empty or cannot be written, the disk is full; nothing is left behind.
-    """
+    """Write a sequence in the EuRoC form. Arguments and errors as of ``write_sequence``."""
     stamps = to_ns(sequence.stamps_s, origin_ns(sequence))
     T_cam_body = imu[0].model.T_cam_imu if imu else np.eye(4)
     with new_directory(directory) as folder:

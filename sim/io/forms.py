@@ -125,7 +125,7 @@ def write_sequence(
         sequence: what to write.
         directory: new or empty folder.
         form: any but TUM-mono and TartanAir.
-        imu: inertial readings, for the EuRoC form.
+        imu: for the EuRoC form, readings and, if known, the truth at the frames; see ``record_imu``.
         depth: write depth images too, in the TUM and VSLAM-LAB forms; the sequence must have them.
         progress: called with step, frames done and frames in all.
 

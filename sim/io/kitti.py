@@ -43,11 +43,8 @@ _POSES_NAME = re.compile(r"[0-9][0-9]\.txt")
 def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None = None) -> None:
     """Write a sequence in KITTI's odometry form; the poses go to ``poses/00.txt``.
 
-    The poses stay in the sequence's world frame; they do not start at the identity.
-
-    Raises:
-        InputError: the camera has distortion or a frame has no pose, which the form cannot hold; the folder
-            is not empty or cannot be written, the disk is full; nothing is left behind.
+    The poses stay in the sequence's world frame; they do not start at the identity. Arguments and errors as
+    of ``write_sequence``: the form holds no distortion, and a pose for each frame.
     """
     if not sequence.camera.is_pinhole:
         raise InputError(
@@ -76,12 +73,7 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
 
 
 def load_kitti(folder: Path) -> Sequence:
-    """Read a sequence from a folder in KITTI's odometry form.
-
-    Raises:
-        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
-            if the image is unreadable or of another size.
-    """
+    """Read a sequence from a folder in KITTI's odometry form. Errors as of ``load_sequence``."""
     stamps_s = _read_times(folder / TIMES_FILE)
     images = image_paths(folder)
     if len(images) != len(stamps_s):

@@ -67,12 +67,7 @@ VERSIONS = (_Version("left", 640, 480), _Version("lcam_front", 640, 640))
 
 
 def load_tartanair(folder: Path) -> Sequence:
-    """Read the left camera of a TartanAir trajectory.
-
-    Raises:
-        InputError: a file is missing, cut short, malformed or absurd. Reading a frame raises it too, if the
-            image is unreadable or of another size.
-    """
+    """Read the left camera of a TartanAir trajectory. Errors as of ``load_sequence``."""
     version = next(v for v in VERSIONS if is_given(folder / v.images) or is_given(folder / v.poses))
     given = is_given(folder / layout.CAMERA_FILE)
     camera = read_camera(folder / layout.CAMERA_FILE) if given else version.intrinsics

@@ -18,15 +18,11 @@ from dslab.sim.sequence import FrameSource, Sequence
 
 
 def load_tum(folder: Path) -> Sequence:
-    """Read a sequence from a TUM-form folder; see ``sim.io.layout``.
+    """Read a sequence from a TUM-form folder; see ``sim.io.layout``. Errors as of ``load_sequence``.
 
     The existence of every image is checked now, its content when the frame is read. Ground truth and depth
     images are assigned to frames within half a frame interval, without interpolation; a frame without a depth
     image has depth 0 (unknown) everywhere.
-
-    Raises:
-        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
-            if the image is unreadable or of another size.
     """
     camera = read_camera(folder / layout.CAMERA_FILE)
     stamps_s, images = _read_list(folder / layout.FRAMES_FILE)
@@ -71,17 +67,7 @@ def write_tum(
     depth: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Write a sequence as a TUM-form folder; see ``sim.io.layout``.
-
-    Args:
-        sequence: what to write.
-        directory: new or empty folder.
-        depth: write depth images too; the sequence must have them.
-        progress: called with step, frames done and frames in all.
-
-    Raises:
-        InputError: the folder is not empty or cannot be written, the disk is full; nothing is left behind.
-    """
+    """Write a sequence as a TUM-form folder. Arguments and errors as of ``write_sequence``."""
     coded = CodedDepth(sequence) if depth else None
     with new_directory(directory) as folder:
         write_camera(sequence.camera, folder / layout.CAMERA_FILE)

@@ -47,11 +47,7 @@ def load_tum_mono(folder: Path) -> Sequence:
     """Read a sequence from a TUM-mono folder; ``frame_truth`` holds known exposures.
 
     Frames are gray levels proportional to the light: the response is inverted, the vignette divided out,
-    levels are limited to 255, and the image is rectified.
-
-    Raises:
-        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
-            if the image is unreadable or of another size.
+    levels are limited to 255, and the image is rectified. Errors as of ``load_sequence``.
     """
     stamps_s, exposure_s = _read_times(folder / TIMES_FILE)
     fps = 1 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0

@@ -66,14 +66,9 @@ _CSV_REMEDY = f"give the list of frames, with the header `{_STAMP},{_PATH}`"
 
 
 def load_vslam_lab(folder: Path) -> Sequence:
-    """Read the first camera of a VSLAM-LAB folder, with each frame's nearest true pose.
+    """Read the first camera of a folder with ``rgb.csv``, with each frame's nearest true pose.
 
-    Args:
-        folder: the folder of a sequence, with ``rgb.csv``.
-
-    Raises:
-        InputError: a file is missing, empty, cut short, malformed or absurd. Reading a frame raises it too,
-            if the image is unreadable or of another size.
+    Errors as of ``load_sequence``.
     """
     camera, depth_per_m = _read_camera(folder / _CALIBRATION_FILE)
     stamps, names, depth_names = _read_frames(folder / FRAMES_FILE)
@@ -194,15 +189,7 @@ def write_vslam_lab(
 ) -> None:
     """Write a sequence as a VSLAM-LAB folder; frames without a true pose have none there.
 
-    Args:
-        sequence: what to write.
-        directory: new or empty folder.
-        depth: write depth images too; the sequence must have them.
-        progress: called with step, frames done and frames in all.
-
-    Raises:
-        InputError: a stamp is negative; the folder is not empty or cannot be written, the disk is full;
-            nothing is left behind.
+    Arguments and errors as of ``write_sequence``: the form holds no stamp below 0.
     """
     coded = CodedDepth(sequence) if depth else None
     stamps = to_ns(sequence.stamps_s, origin_ns(sequence))

@@ -39,15 +39,9 @@ class Recurrence:
     def texture(
         self, label: str, twin: str, finish: str, size_m: tuple[float, float], scale: float
     ) -> np.ndarray:
-        """A new array with the unlit texture of a surface.
+        """A new array (h, w) uint8 with the unlit texture of a surface.
 
-        Args:
-            label: of the surface.
-            twin: of the surface that it repeats if it is not one of the details that differ; else empty.
-            finish, size_m, scale: as for drawing.
-
-        Returns:
-            (h, w) uint8.
+        ``twin`` is the label of the surface that it repeats if it is no detail that differs, else empty.
         """
         source = self.source(label, twin)
         size = pixels(size_m, scale)

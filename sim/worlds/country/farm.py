@@ -17,15 +17,7 @@ _WALL_LIGHT_ROWS = 12
 
 
 def stone(spot: np.ndarray, size_m: float, label: str, light: Daylight, rng: np.random.Generator) -> Piece:
-    """A boulder, half sunk into the ground.
-
-    Args:
-        spot: (3,) on the ground, metres.
-        size_m: its width.
-        label: readable name, unique in the world.
-        light: daylight that takes its shadow.
-        rng: stream of its shape.
-    """
+    """A boulder ``size_m`` wide, half sunk into the ground at ``spot`` (3,); ``light`` takes its shadow."""
     ball, bumps = bumpy_ball(_STONE_RINGS, _STONE_SIDES, (0.75, 1.1), rng)
     shape = size_m / 2 * rng.uniform([0.8, 0.8, 0.6], [1.1, 1.1, 0.95])
     points = spot + bumps * ball * shape
@@ -43,14 +35,7 @@ def stone(spot: np.ndarray, size_m: float, label: str, light: Daylight, rng: np.
 
 
 def bale(spot: np.ndarray, turn_rad: float, label: str, light: Daylight) -> Piece:
-    """A round straw bale lying on its side.
-
-    Args:
-        spot: (3,) on the ground, metres.
-        turn_rad: direction of its axis.
-        label: readable name, unique in the world.
-        light: daylight that takes its shadow.
-    """
+    """A round straw bale on its side at ``spot`` (3,) on the ground; ``light`` takes its shadow."""
     wide, radius = _BALE_M
     axis = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])
     across = np.array([-axis[1], axis[0], 0.0])
@@ -118,14 +103,7 @@ def fence_feet(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 
 
 def field_wall(feet: np.ndarray, label: str, light: Daylight, rng: np.random.Generator) -> Piece:
-    """A dry stone wall of uneven height along feet (n, 3) on the ground.
-
-    Args:
-        feet: metres, in order.
-        label: readable name, unique in the world.
-        light: daylight that takes its shadow.
-        rng: stream of its heights.
-    """
+    """A dry stone wall of uneven height along feet (n, 3) on the ground; ``light`` takes its shadow."""
     arc = arc_length(feet)
     way = np.gradient(feet[:, :2], axis=0)
     left = np.column_stack([-way[:, 1], way[:, 0]]) / np.linalg.norm(way, axis=1, keepdims=True)
@@ -159,14 +137,13 @@ def field_wall(feet: np.ndarray, label: str, light: Daylight, rng: np.random.Gen
 def barn(
     foot: np.ndarray, turn_rad: float, size_m: tuple[float, float, float], label: str, light: Daylight
 ) -> Piece:
-    """A barn with a pitched roof.
+    """A barn with a pitched roof; ``light`` takes its shadow.
 
     Args:
         foot: (3,) middle of its floor, at the lowest ground under it.
         turn_rad: direction of its ridge.
         size_m: length along the ridge, width, height of the ridge.
-        label: readable name, unique in the world.
-        light: daylight that takes its shadow.
+        label, light: as of all pieces.
     """
     length, wide, high = size_m
     along = np.array([np.cos(turn_rad), np.sin(turn_rad), 0.0])

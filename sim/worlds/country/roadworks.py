@@ -40,14 +40,7 @@ def guard_rail(ends: np.ndarray, label: str, gain: np.ndarray) -> Piece:
 def gantry(
     left: np.ndarray, right: np.ndarray, facing: np.ndarray, label: str, rng: np.random.Generator
 ) -> list[Piece]:
-    """A beam on two posts over a carriageway with signs on it.
-
-    Args:
-        left, right: (2,) plan positions of the posts.
-        facing: (2,) unit vector from the signs to their readers.
-        label: readable name, unique in the world.
-        rng: stream of its signs.
-    """
+    """A beam over a carriageway on posts at two plan positions (2,), with signs turned ``facing`` (2,)."""
     mesh, wide = Mesh(), float(np.linalg.norm(right - left))
     across = (right - left) / wide
     for foot in (left, right):
@@ -67,14 +60,7 @@ def gantry(
 def bridge(
     start: np.ndarray, end: np.ndarray, piers: list[np.ndarray], label: str, light: Daylight
 ) -> list[Piece]:
-    """A bridge of concrete over the road.
-
-    Args:
-        start, end: (2,) plan ends of its middle line.
-        piers: (2,) plan positions of its piers.
-        label: readable name, unique in the world.
-        light: daylight; the bridge casts its shadow there.
-    """
+    """A bridge of concrete between two plan positions (2,), on piers (2,); ``light`` takes its shadow."""
     length = float(np.linalg.norm(end - start))
     along = (end - start) / length
     aside = np.array([-along[1], along[0]])

@@ -1,4 +1,8 @@
-"""Triangle meshes made of simple shapes, and the pieces of worlds made of them."""
+"""Triangle meshes made of simple shapes, and the pieces of worlds made of them.
+
+Of every function that makes a piece, ``label`` is a readable name, unique in the world, ``rng`` the stream
+of its shape, ``light`` the daylight that takes its shadow; all lengths are metres.
+"""
 
 from dataclasses import dataclass, field
 

@@ -174,15 +174,9 @@ def ground_piece(
     light: Daylight,
     z_m: float = 0.0,
 ) -> Piece:
-    """A level rectangle seen from above, its sheet's upper left corner at ``corner`` (2,).
+    """A level rectangle at a height, seen from above, its sheet's upper left corner at ``corner`` (2,).
 
-    Args:
-        corner: plan position, metres.
-        right: (2,) unit vector along the sheet's upper edge; the sheet runs down to the right of it.
-        size_m: width along ``right`` and height.
-        finish, label: as in Piece.
-        light: daylight.
-        z_m: its height.
+    ``right``, a unit vector (2,), leads along the upper edge; the sheet runs down to the right of it.
     """
     down = np.array([right[1], -right[0]])
     mesh = Mesh()

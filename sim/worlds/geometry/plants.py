@@ -15,14 +15,7 @@ _SQUASHED = np.array([1.0, 1.0, 0.85])
 
 
 def tree(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator) -> Piece:
-    """A broad-leaved tree.
-
-    Args:
-        spot: (3,) foot of the trunk, metres.
-        height_m: to the top of the crown.
-        label: readable name, unique in the world.
-        rng: stream of its shape.
-    """
+    """A broad-leaved tree with the foot of its trunk at ``spot`` (3,)."""
     mesh = Mesh()
     crown_m = 0.33 * height_m
     fork = spot + np.array([0.1, 0.08, 0.62 * height_m]) * rng.uniform([-1, -1, 0.95], [1, 1, 1.05])
@@ -38,7 +31,7 @@ def tree(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator
 
 
 def bush(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator) -> Piece:
-    """A bush without a trunk; arguments as for ``tree``."""
+    """A bush without a trunk."""
     mesh = Mesh()
     for _ in range(2):
         aside = rng.uniform([-0.4, -0.4, 0.3], [0.4, 0.4, 0.45]) * height_m
@@ -47,7 +40,7 @@ def bush(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator
 
 
 def conifer(spot: np.ndarray, height_m: float, label: str, rng: np.random.Generator) -> Piece:
-    """A spruce: whorls that narrow to a tip; arguments as for ``tree``."""
+    """A spruce: whorls that narrow to a tip."""
     mesh = Mesh()
     trunk = np.array([spot, spot + rise(0.5 * height_m)])
     mesh.tube(trunk, (0.02 * height_m, 0.012 * height_m), 7, (_BARK_M[0], 0.0), (_BARK_M[1], _SHEET_M[1]))
@@ -79,8 +72,7 @@ def ragged_woods(
     Args:
         ends: (2, 2) plan points, left to right as seen.
         high: of the highest crowns, metres.
-        label: readable name, unique in the world.
-        rng: stream of its shape.
+        label, rng: as of all plants.
         closed: the wood continues beyond both ends; otherwise it thins out.
     """
     wide = float(np.linalg.norm(ends[1] - ends[0]))

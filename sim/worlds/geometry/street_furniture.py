@@ -6,13 +6,7 @@ from dslab.sim.worlds.geometry.meshes import Mesh, Piece, rise
 
 
 def lamp_post(spot: np.ndarray, towards: np.ndarray, label: str) -> Piece:
-    """A lamp post whose arm reaches over the road.
-
-    Args:
-        spot: (3,) foot, metres.
-        towards: (2,) unit vector from the post to the road.
-        label: readable name, unique in the world.
-    """
+    """A lamp post with its foot at ``spot`` (3,), whose arm reaches over the road, ``towards`` (2,)."""
     mesh, over = Mesh(), np.append(towards, 0.0)
     top, sheet = spot + rise(6.6), ((0.0, 0.0), (0.35, 3.0))
     mesh.tube(np.array([spot, spot + rise(1.1)]), (0.13, 0.12), 8, *sheet)
@@ -25,14 +19,7 @@ def lamp_post(spot: np.ndarray, towards: np.ndarray, label: str) -> Piece:
 
 
 def sign_post(spot: np.ndarray, facing: np.ndarray, size_m: tuple[float, float], label: str) -> Piece:
-    """A plate with letters on a post.
-
-    Args:
-        spot: (3,) foot, metres.
-        facing: (2,) unit vector from the plate to its readers.
-        size_m: width and height of the plate.
-        label: readable name, unique in the world.
-    """
+    """A plate with letters, turned ``facing`` (2,) to its readers, on a post at ``spot`` (3,)."""
     mesh, front = Mesh(), np.append(facing, 0.0)
     right = np.array([-facing[1], facing[0], 0.0])
     wide, high = size_m
@@ -46,7 +33,7 @@ def sign_post(spot: np.ndarray, facing: np.ndarray, size_m: tuple[float, float],
 
 
 def hung_sign(centre: np.ndarray, facing: np.ndarray, size_m: tuple[float, float], label: str) -> Piece:
-    """A hanging plate with letters at its ``centre``; arguments as for ``sign_post``."""
+    """A hanging plate with letters about ``centre`` (3,); see ``sign_post``."""
     mesh = Mesh()
     _plate(mesh, centre, facing, size_m)
     return Piece.of(mesh, (size_m[0], 2 * size_m[1]), "sign", label)

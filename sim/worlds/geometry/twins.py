@@ -38,13 +38,7 @@ def turned_piece(piece: Piece, centre: np.ndarray) -> Piece:
 
 
 def raised_panel(panel: Panel, by_m: float, name: str) -> Panel:
-    """The panel again, higher by ``by_m``; the two are twins.
-
-    Args:
-        panel: the first one.
-        by_m: metres.
-        name: tells the copy's label from others.
-    """
+    """The panel again, higher by ``by_m``, its label with ``name`` behind it; the two are twins."""
     corner = panel.corner + np.array([0.0, 0.0, by_m])
     return replace(panel, corner=corner, label=f"{panel.label} {name}", twin=panel.twin or panel.label)
 

@@ -47,11 +47,7 @@ def storey_panels(
 ) -> list[tuple[list[Panel], Lighting]]:
     """Panels of a storey whose floor is at z = 0, grouped by their light.
 
-    Args:
-        storey: its plan.
-        clear_m: height of the ceiling.
-        reach_m: largest reach of furniture from a corridor's wall.
-        rng: the storey's random stream.
+    The ceiling is at ``clear_m``; furniture reaches at most ``reach_m`` from a corridor's wall.
     """
     first, second = rng.choice(WALL_FINISHES, 2, replace=False).tolist()
     style = _Style((first, second), str(rng.choice(FLOOR_FINISHES)), reach_m, clear_m)

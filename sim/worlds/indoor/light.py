@@ -83,13 +83,7 @@ class Light:
 
 
 def lamp_boxes(lamps: np.ndarray, height_m: float, along: tuple[float, float]) -> list[Box]:
-    """The visible lamps under the ceiling.
-
-    Args:
-        lamps: (L, 2) plan positions, metres.
-        height_m: of the ceiling.
-        along: unit vector of their longer side, along x or y.
-    """
+    """The visible lamps at (L, 2) plan positions under the ceiling, their longer side ``along`` x or y."""
     length, width, thick = _LAMP_SIZE_M
     half = np.array([length, width] if abs(along[0]) > 0.5 else [width, length]) / 2
     return [

@@ -22,11 +22,7 @@ def stair_panels(
 ) -> list[Panel]:
     """The flat parts: walls, floors, landings, ceiling, windows and pictures.
 
-    Args:
-        well: the stairwell.
-        clear_m: from a floor to its ceiling.
-        rng: the random stream.
-        alike: the same things hang on every storey.
+    If ``alike``, the same things hang on every storey; ``clear_m`` is from a floor to its ceiling.
     """
     panels = _shell(well, clear_m, rng)
     first = _half_landing(well, 0) + _hangings(well, 0, rng) if alike else []

@@ -112,13 +112,7 @@ def uncovered(length_m: float, spans: list[tuple[float, float]]) -> list[tuple[f
 
 
 def plan_storey(plan: Plan, walked: bool, rng: np.random.Generator) -> Storey:
-    """Plan a storey: its side corridors, its rooms and their open doors.
-
-    Args:
-        plan: of the building.
-        walked: the route follows its corridors; otherwise all doors are closed.
-        rng: the storey's random stream.
-    """
+    """Plan a storey: its side corridors, its rooms and their doors, which are closed unless it is walked."""
     ring = _ring(plan)
     cross_x = plan.ring[0] / 2 + rng.uniform(-0.5, 0.5) * max(0.0, _core_m(plan) - CROSS_M - 1.0)
     half = np.array([CROSS_M / 2, 0.0])

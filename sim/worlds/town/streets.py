@@ -175,11 +175,7 @@ def _add_side_streets(
 ) -> None:
     """Add side streets to one or both sides at irregular intervals where there is room.
 
-    Args:
-        streets: extended; each side street is followed by its twin.
-        parent: the main street.
-        rng: the random stream.
-        centre: (2,) of the half turn that gives the twins; None for no twins.
+    Each is followed by its twin after half a turn about ``centre`` (2,), unless that is None.
     """
     at = OVERSHOOT_M + rng.uniform(30, 60)
     while at < parent.length_m - 20:
