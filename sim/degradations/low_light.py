@@ -1,7 +1,6 @@
 """Low light: a darker image with shot and read noise."""
 
 import numpy as np
-from numba import njit
 
 from dslab.scenarios.segments import LowLight
 from dslab.sim.degradations.base import Stage
@@ -52,9 +51,8 @@ class _LowLight:
             )
             self._strength = view.strength
         start = int(self._streams(view.frame).integers(len(self._bank) - self._pixels))
-        out = np.empty_like(image)
-        look_up(image.ravel(), self._bank[start : start + self._pixels], self._table, out.ravel())
-        return out, -float(np.log2(illumination))
+        codes = self._bank[start : start + self._pixels].reshape(image.shape)
+        return self._table[image, codes], -float(np.log2(illumination))
 
 
 def noise_table(illumination: float, gain: float, full_well_e: float, read_noise_e: float) -> np.ndarray:
@@ -74,17 +72,3 @@ def noise_table(illumination: float, gain: float, full_well_e: float, read_noise
     counted = electrons + np.sqrt(electrons + read_noise_e**2) * normal
     light = np.clip(gain * counted / full_well_e, 0, 1)
     return ENCODE[np.rint(light * (len(ENCODE) - 1)).astype(int)]
-
-
-@njit(cache=True, nogil=True)
-def look_up(image, codes, table, out):
-    """Write the table's entry for each pixel's level and code.
-
-    Args:
-        image: (n,) uint8 levels.
-        codes: (n,) uint8.
-        table: (256, 256) uint8.
-        out: (n,) uint8, written.
-    """
-    for at in range(len(image)):
-        out[at] = table[image[at], codes[at]]

@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.errors import InputError
-from dslab.sim.rendering.compositing import metric_depth, put_nearer
 from dslab.sim.rendering.frustum import Frustum, bounding_balls
 from dslab.sim.rendering.gl_context import gl_info, shared_context
 from dslab.sim.sensors.camera import Intrinsics
@@ -57,10 +56,13 @@ class MujocoRenderer:
         """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
         gray, zbuffer = np.zeros(self._shape, np.uint8), np.zeros(self._shape, np.float32)
         for _ in self._draw_parts(self._parts, T_world_cam, ids=False):
-            put_nearer(self._rgb, self._zbuffer, gray, zbuffer)
+            nearer = self._zbuffer[::-1] > zbuffer
+            np.copyto(gray, self._rgb[::-1, :, 0], where=nearer)
+            np.copyto(zbuffer, self._zbuffer[::-1], where=nearer)
         for _ in self._draw_parts(self._smooth, T_world_cam, ids=False):
             gray = self._rgb[::-1, :, 0].copy()
-        return gray, metric_depth(zbuffer, self._bias, self._offset_m)
+        depth_m = np.zeros_like(zbuffer)
+        return gray, np.divide(self._offset_m, zbuffer + self._bias, out=depth_m, where=zbuffer != 0)
 
     def render_surface_ids(self, T_world_cam: np.ndarray) -> np.ndarray:
         """(H, W) int32: index into ``WorldModel.surfaces`` per pixel, -1 for none."""

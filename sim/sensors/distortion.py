@@ -4,7 +4,6 @@ The wide image has the camera's focal length and pixel grid, so that a lens with
 pixel. Where the lens compresses the view, several samples make a pixel, like its area on a sensor.
 """
 
-import math
 from dataclasses import replace
 from functools import cached_property
 
@@ -13,18 +12,16 @@ import numpy as np
 from numba import njit
 
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.lenses import MOST_HALF_ANGLE_DEG
+from dslab.scenarios.lenses import ray_fault, straightened
 from dslab.sim.link import View
 from dslab.sim.sensors.camera import Intrinsics
 
 MOST_IDEAL_PX = 8192
-_SOLVED = 1e-10  # negligible error of a normalised point
 _MARGIN_PX = 3  # border pixels for the interpolation
 # OpenCV places a sample to 1/32 of a pixel; the mean of several is placed better.
 _LEAST_SAMPLES, _MOST_SAMPLES = 2, 4
 # Neighbouring depths with a larger ratio lie on different surfaces.
 _SAME_SURFACE = np.float32(1.05)
-_NEWTON_ROUNDS = 30
 
 
 class Lens:
@@ -134,17 +131,10 @@ def unproject(camera: Intrinsics, xy: np.ndarray) -> np.ndarray:
     Raises:
         InputError: a pixel has no ray, several, or one too far to the side.
     """
-    bent = np.ascontiguousarray((xy - (camera.cx, camera.cy)) / (camera.fx, camera.fy))
-    undistort = undistort_equidistant if camera.model == "equidistant" else undistort_radtan
-    rays = undistort(bent, np.array(camera.distortion, float))
-    if np.isnan(rays).any():
-        problem = f"{camera.distortion} folds the image over itself or sees behind the camera"
-        raise InputError("camera: distortion", problem, "give the coefficients of a calibration")
-    widest_deg = math.degrees(math.atan(np.hypot(*rays.T).max()))
-    if widest_deg > MOST_HALF_ANGLE_DEG:
-        problem = f"the lens sees {widest_deg:.0f} degrees to the side"
-        remedy = f"give one of at most {MOST_HALF_ANGLE_DEG:g}"
-        raise InputError("camera: distortion", problem, remedy)
+    bent = (xy - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    rays = straightened(bent, camera.model, camera.distortion)
+    if fault := ray_fault(rays, camera.distortion):
+        raise InputError("camera: distortion", *fault)
     return rays
 
 
@@ -169,72 +159,6 @@ def _samples_per_pixel(corners_at: np.ndarray) -> int:
     along_x, along_y = np.diff(corners_at, axis=1)[:-1], np.diff(corners_at, axis=0)[:, :-1]
     area = np.abs(along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0])
     return int(np.clip(np.rint(np.sqrt(np.quantile(area, 0.95))), _LEAST_SAMPLES, _MOST_SAMPLES))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def undistort_radtan(bent, coefficients):
-    """Remove OpenCV's radtan distortion from normalised points, by Newton's method.
-
-    Args:
-        bent: (N, 2) float64 distorted points at unit depth.
-        coefficients: (5,) float64 k1, k2, p1, p2, k3.
-
-    Returns:
-        (N, 2) float64 points, NaN where there is none or the lens has folded the image before it.
-    """
-    k1, k2, p1, p2, k3 = coefficients
-    out = np.full_like(bent, np.nan)
-    for index in range(len(bent)):
-        x, y = bent[index]
-        for _ in range(_NEWTON_ROUNDS):
-            r2 = x * x + y * y
-            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-            growth = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
-            error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - bent[index, 0]
-            error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - bent[index, 1]
-            xx = radial + growth * x * x + 2 * p1 * y + 6 * p2 * x
-            xy = growth * x * y + 2 * p1 * x + 2 * p2 * y
-            yy = radial + growth * y * y + 6 * p1 * y + 2 * p2 * x
-            determinant = xx * yy - xy * xy
-            if abs(error_x) + abs(error_y) < _SOLVED:
-                # Beyond a fold the image is inverted.
-                if determinant > 0 and radial > 0:
-                    out[index, 0], out[index, 1] = x, y
-                break
-            x -= (yy * error_x - xy * error_y) / determinant
-            y -= (xx * error_y - xy * error_x) / determinant
-    return out
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def undistort_equidistant(bent, coefficients):
-    """Remove OpenCV's fisheye distortion from normalised points, by Newton's method.
-
-    Args:
-        bent: (N, 2) float64 distorted points at unit depth.
-        coefficients: (4,) float64 k1 to k4.
-
-    Returns:
-        (N, 2) float64 points, NaN where there is none, the lens has folded the image before it, or the ray
-        does not point forward.
-    """
-    k1, k2, k3, k4 = coefficients
-    out = np.full_like(bent, np.nan)
-    for index in range(len(bent)):
-        x, y = bent[index]
-        radius = np.sqrt(x * x + y * y)
-        theta = min(radius, 1.0)
-        for _ in range(_NEWTON_ROUNDS):
-            t2 = theta * theta
-            error = theta * (1 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4)))) - radius
-            slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
-            if abs(error) < _SOLVED:
-                if slope > 0 and 0 <= theta < np.pi / 2:
-                    stretch = np.tan(theta) / radius if radius > 1e-9 else 1.0
-                    out[index, 0], out[index, 1] = x * stretch, y * stretch
-                break
-            theta -= error / slope
-    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

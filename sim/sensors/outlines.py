@@ -27,15 +27,10 @@ _LONGEST_PX = np.float32(2000)
 _WIDENINGS = 3
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def inverse_depths(depth_m):
+def inverse_depths(depth_m: np.ndarray) -> np.ndarray:
     """(H, W) float32 1 / depth, 1e-4 where there is none."""
-    out = np.empty_like(depth_m)
-    for row in range(depth_m.shape[0]):
-        for column in range(depth_m.shape[1]):
-            depth = depth_m[row, column]
-            out[row, column] = np.float32(1) / depth if depth > FARTHEST else FARTHEST
-    return out
+    out = np.full_like(depth_m, FARTHEST)
+    return np.divide(np.float32(1), depth_m, out=out, where=depth_m > FARTHEST)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
