@@ -58,14 +58,8 @@ class _LowLight:
 def noise_table(illumination: float, gain: float, full_well_e: float, read_noise_e: float) -> np.ndarray:
     """(256, 256) uint8 noisy level of every level and code of a normal number.
 
-    Shot noise is approximated as normal with the variance of its mean count, which holds from about ten
-    electrons on; below, read noise dominates.
-
-    Args:
-        illumination: light as a share of the light behind the levels.
-        gain: amplification of the electron count.
-        full_well_e: electrons of light 1 at gain 1.
-        read_noise_e: standard deviation of the read noise, electrons.
+    ``illumination`` is the light as a share of that behind the levels. Shot noise is approximated as normal
+    with the variance of its mean count, which holds from about ten electrons on; below, read noise dominates.
     """
     electrons = illumination * full_well_e * DECODE.astype(float)[:, None]
     normal = (np.arange(256) - 128) / _CODES_PER_SIGMA

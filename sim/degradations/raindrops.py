@@ -120,10 +120,8 @@ class RainField:
         Args:
             depth_m: (H, W) float32, 0 for none.
             k: (4,) float32 fx, fy, cx, cy.
-            T_world_open: (4, 4) camera to world when the shutter opens.
-            T_world_close: (4, 4) the same when it closes.
-            stamp_s: centre of the exposure.
-            exposure_s: its length.
+            T_world_open, T_world_close: (4, 4) camera to world when the shutter opens and closes.
+            stamp_s, exposure_s: centre of the exposure, and its length.
             rate_mmph: rain at that time.
         """
         centre = (T_world_open[:3, 3] + T_world_close[:3, 3]) / 2 + _AHEAD_M * T_world_close[:3, 2]

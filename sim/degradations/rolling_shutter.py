@@ -66,7 +66,7 @@ def _between(knots: np.ndarray, poses: np.ndarray, at: np.ndarray) -> np.ndarray
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def row_maps(depth_m, k, T_mid_row):
-    """Position of each pixel's light in the frame of the middle row's time.
+    """Position of each pixel's light in the frame of the middle row's time: two (H, W) float32, x and y.
 
     The depth that a row saw is known only at that position, so a second iteration takes it from there.
 
@@ -74,9 +74,6 @@ def row_maps(depth_m, k, T_mid_row):
         depth_m: (H, W) float32 depth of the middle row's frame.
         k: (4,) float32 fx, fy, cx, cy.
         T_mid_row: (H, 3, 4) float32 camera at each row's time to camera at the middle row's.
-
-    Returns:
-        Two (H, W) float32 arrays, x and y.
     """
     height, width = depth_m.shape
     map_x, map_y = np.empty_like(depth_m), np.empty_like(depth_m)

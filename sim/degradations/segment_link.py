@@ -15,18 +15,12 @@ from dslab.sim.sensors.camera import Intrinsics
 
 
 class SegmentLink:
-    """One segment: it changes the frames of its time and records its measure.
+    """One segment on frames at (N,) true times: it changes those of its time and records its measure.
 
     It is prepared at its first frame and released after its last.
 
-    Args:
-        segment: what acts.
-        camera: intrinsics of the images.
-        stamps_s: (N,) float64 true times of the frames.
-        seed: root seed.
-
     Attributes:
-        segment: the same.
+        segment: what acts.
         kind: its degradation.
         strength: (N,) float64 position on its ramp, 0 where it does not act.
         measure: (N,) float64 strength that it had on each frame, in its own unit.
@@ -58,14 +52,9 @@ def segment_links(
     seed: int,
     ideal: Intrinsics | None = None,
 ) -> list[SegmentLink]:
-    """Make links of the segments that act on images, in their order of action.
+    """Make links of the segments that act on images, in their order of action; others are skipped.
 
-    Args:
-        segments: of a scenario; other kinds are skipped.
-        camera: intrinsics of the frames.
-        stamps_s: (N,) float64 true times of the frames.
-        seed: root seed.
-        ideal: intrinsics of the frames before a distorting lens; None without such a lens.
+    Arguments as of ``SegmentLink``; ``ideal`` are the intrinsics before a distorting lens, None without one.
     """
     acting = [segment for segment in in_order_of_action(segments) if isinstance(segment, ImageSegment)]
     before_lens = [IMAGE_KINDS[segment.kind].stage < Stage.LENS for segment in acting]

@@ -137,11 +137,7 @@ class DepthFolder:
 
 
 def read_raw(path: Path, shape: tuple[int, int], authority: str) -> np.ndarray:
-    """The stored image, (H, W) or (H, W, C), depth and channels unchanged.
-
-    Raises:
-        InputError: it cannot be read or has another size than the authority, a file, states.
-    """
+    """The stored image, (H, W) or (H, W, C), depth and channels unchanged; errors as of ``GrayFolder``."""
     return _decoded(_bytes(path), str(path), cv2.IMREAD_UNCHANGED, shape, authority)
 
 

@@ -111,20 +111,10 @@ def half_interval_s(stamps_s: np.ndarray, fps: float) -> float:
 def nearest_poses(
     path: Path, stamps_s: np.ndarray, table_s: np.ndarray, poses: np.ndarray, tolerance_s: float
 ) -> np.ndarray:
-    """The pose nearest in time to each frame, without interpolation.
-
-    Args:
-        path: the file of the poses, for the fault.
-        stamps_s: (N,) stamps of the frames.
-        table_s: (M,) stamps of the poses, increasing.
-        poses: (M, 4, 4).
-        tolerance_s: largest time between a frame and its pose.
-
-    Returns:
-        (N, 4, 4), NaN where none lies within the tolerance.
+    """(N, 4, 4) pose nearest in time to each frame, without interpolation; NaN where none is near enough.
 
     Raises:
-        InputError: no frame has a pose within the tolerance.
+        InputError: of the file, if no frame has a pose within the tolerance.
     """
     best = nearest(table_s, stamps_s, tolerance_s)
     near = best >= 0

@@ -102,15 +102,7 @@ class Lens:
 
 
 def project(camera: Intrinsics, rays: np.ndarray) -> np.ndarray:
-    """Pixels of rays.
-
-    Args:
-        camera: intrinsics, with distortion or without.
-        rays: (N, 2) at unit depth.
-
-    Returns:
-        (N, 2) float64 pixels.
-    """
+    """(N, 2) float64 pixels of (N, 2) rays at unit depth, with the camera's distortion if any."""
     points = np.column_stack([rays, np.ones(len(rays))])[:, None]
     zero, coefficients = np.zeros(3), np.array(camera.distortion)
     if camera.model == "equidistant":
@@ -119,14 +111,7 @@ def project(camera: Intrinsics, rays: np.ndarray) -> np.ndarray:
 
 
 def unproject(camera: Intrinsics, xy: np.ndarray) -> np.ndarray:
-    """Rays of pixels.
-
-    Args:
-        camera: intrinsics, with distortion or without.
-        xy: (N, 2) pixels.
-
-    Returns:
-        (N, 2) float64 rays at unit depth.
+    """(N, 2) float64 rays at unit depth of (N, 2) pixels, with the camera's distortion if any.
 
     Raises:
         InputError: a pixel has no ray, several, or one too far to the side.

@@ -117,20 +117,10 @@ def smear_lengths(depth_m, k, T_open, T_close):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def integrate(gray, linear, depth_m, k, T_open, T_close, encode, near):
-    """Sum the light along every pixel's path.
+    """Sum the light along every pixel's path; (H, W) uint8.
 
-    Args:
-        gray: (H, W) uint8 sharp frame.
-        linear: (H, W) float32 the same as light, 0 to 1.
-        depth_m: (H, W) float32.
-        k: (4,) float32 fx, fy, cx, cy.
-        T_open: (3, 4) float32, camera at the shutter's opening to the sharp frame's camera.
-        T_close: (3, 4) float32, the same at its closing.
-        encode: uint8 table from light to level.
-        near: (h, w) float32 from ``outline_tiles``; its tiles with outlines are left sharp.
-
-    Returns:
-        (H, W) uint8.
+    Arguments as in ``sim.sensors.outlines``; ``gray`` is the sharp frame. Tiles of ``near`` with outlines
+    stay sharp.
     """
     height, width = gray.shape
     codes, half = np.float32(len(encode) - 1), np.float32(0.5)

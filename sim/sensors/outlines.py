@@ -3,9 +3,13 @@
 A pixel near an outline sees the near surface during a part of the exposure and the far one during the rest,
 so that no single depth gives its path. At every moment its ray is followed through the sharp frame, from near
 to far, to the first surface that it meets (ray marching in a depth image). A ray that ends behind a near
-surface
-sees a point that the sharp frame hides: the surface that the ray passed last, beside the outline, replaces
-it.
+surface sees a point that the sharp frame hides: the surface that the ray passed last, beside the outline,
+replaces it.
+
+The kernels share their arguments: ``k`` (4,) float32 fx, fy, cx, cy; ``T_open`` and ``T_close`` (3, 4)
+float32, camera at the shutter's opening, or closing, to the sharp frame's camera; ``linear`` (H, W) float32
+light of the sharp frame, 0 to 1; ``inverse_depth`` (H, W) float32 of it; ``encode`` the uint8 table from light
+to level; ``near`` and ``far`` (h, w) float32 as ``outline_tiles`` gives them.
 """
 
 import numpy as np
@@ -36,12 +40,6 @@ def inverse_depths(depth_m: np.ndarray) -> np.ndarray:
 @njit(cache=True, nogil=True, error_model="numpy")
 def outline_tiles(inverse_depth, k, T_open, T_close):
     """The tiles over which an outline passes during the exposure.
-
-    Args:
-        inverse_depth: (H, W) float32 of the sharp frame.
-        k: (4,) float32 fx, fy, cx, cy.
-        T_open: (3, 4) float32, camera at the shutter's opening to the sharp frame's camera.
-        T_close: (3, 4) float32, the same at its closing.
 
     Returns:
         Two (h, w) float32 arrays, of tiles of ``TILE_PX``: the nearest and the farthest inverse depth that
@@ -167,17 +165,8 @@ def _in_reach(i, j, nearest, farthest, k, T_open, T_close, near, far):
 def integrate_outlines(out, linear, inverse_depth, k, T_open, T_close, encode, near, far):
     """Sum the light of the pixels over which outlines pass.
 
-    Args:
-        out: (H, W) uint8, written in the tiles where an outline passes, except pixels all of whose light
-            comes from outside the frame.
-        linear: (H, W) float32 light of the sharp frame, 0 to 1.
-        inverse_depth: (H, W) float32 of the sharp frame.
-        k: (4,) float32 fx, fy, cx, cy.
-        T_open: (3, 4) float32, camera at the shutter's opening to the sharp frame's camera.
-        T_close: (3, 4) float32, the same at its closing.
-        encode: uint8 table from light to level.
-        near: (h, w) float32 from ``outline_tiles``.
-        far: (h, w) float32 likewise.
+    ``out``, (H, W) uint8, is written in the tiles where an outline passes, except pixels all of whose light
+    comes from outside the frame.
     """
     height, width = out.shape
     codes, half = np.float32(len(encode) - 1), np.float32(0.5)
