@@ -8,8 +8,8 @@ replaces it.
 
 The kernels share their arguments: ``k`` (4,) float32 fx, fy, cx, cy; ``T_open`` and ``T_close`` (3, 4)
 float32, camera at the shutter's opening, or closing, to the sharp frame's camera; ``linear`` (H, W) float32
-light of the sharp frame, 0 to 1; ``inverse_depth`` (H, W) float32 of it; ``encode`` the uint8 table from light
-to level; ``near`` and ``far`` (h, w) float32 as ``outline_tiles`` gives them.
+light of the sharp frame, 0 to 1; ``inverse_depth`` (H, W) float32 of it; ``encode`` the uint8 table from
+light to level; ``near`` and ``far`` (h, w) float32 as ``outline_tiles`` gives them.
 """
 
 import numpy as np

@@ -4,7 +4,7 @@ import numpy as np
 
 from dslab.sim.worlds.geometry.meshes import Mesh, Piece, block, grid_triangles
 from dslab.sim.worlds.geometry.outdoor import Daylight
-from dslab.sim.worlds.geometry.route import arc_length
+from dslab.sim.worlds.geometry.route import Stretch, arc_length
 from dslab.sim.worlds.geometry.street_furniture import hung_sign
 
 # A beam in the shape of a W: distance from the posts and height, from the top down.
@@ -20,10 +20,8 @@ _WALL_M, _WALL_POST_M = 3.6, 0.18
 
 def guard_rail(ends: np.ndarray, label: str, gain: np.ndarray) -> Piece:
     """A guard rail on posts between two plan points (2, 2), both of its faces alike."""
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    along = (ends[1] - ends[0]) / length
-    aside = np.array([-along[1], along[0]])
-    mesh = Mesh()
+    line, mesh = Stretch(*ends), Mesh()
+    length, along, aside = line.length_m, line.way, line.left
     deep = arc_length(_BEAM_M)
     for side, (a, b) in ((1.0, ends[::-1]), (-1.0, ends)):
         rows = [
@@ -61,9 +59,8 @@ def bridge(
     start: np.ndarray, end: np.ndarray, piers: list[np.ndarray], label: str, light: Daylight
 ) -> list[Piece]:
     """A bridge of concrete between two plan positions (2,), on piers (2,); ``light`` takes its shadow."""
-    length = float(np.linalg.norm(end - start))
-    along = (end - start) / length
-    aside = np.array([-along[1], along[0]])
+    line = Stretch(start, end)
+    length, along, aside = line.length_m, line.way, line.left
     wide, deep = _DECK_M
     middle = np.append((start + end) / 2, _CLEAR_M)
     deck = Mesh()
@@ -85,9 +82,8 @@ def bridge(
 
 def noise_wall(ends: np.ndarray, label: str, gain: np.ndarray) -> Piece:
     """A wall of panels between posts, between two plan points (2, 2), seen from both sides."""
-    length = float(np.linalg.norm(ends[1] - ends[0]))
-    along = (ends[1] - ends[0]) / length
-    mesh = Mesh()
+    line, mesh = Stretch(*ends), Mesh()
+    length, along = line.length_m, line.way
     block(mesh, np.append(ends.mean(axis=0), -0.1), along, (length, 0.12, _WALL_M + 0.1), (0.0, 0.0))
     for at in np.arange(0.0, length, _POST_EVERY_M).tolist():
         foot = np.append(ends[0] + at * along, 0.0)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from dslab.sim.worlds.geometry.meshes import Mesh, Piece, bumpy_ball, grid_triangles, rise
+from dslab.sim.worlds.geometry.route import Stretch
 
 _SHEET_M = (6.0, 5.0)
 _BARK_M = (5.25, 0.75)  # where the bark begins on the sheet, and how wide it is
@@ -75,10 +76,8 @@ def ragged_woods(
         label, rng: as of all plants.
         closed: the wood continues beyond both ends; otherwise it thins out.
     """
-    wide = float(np.linalg.norm(ends[1] - ends[0]))
-    along = (ends[1] - ends[0]) / wide
-    back = np.array([-along[1], along[0]])
-    sheet = (wide, 2 * high)
+    line = Stretch(*ends)
+    back, sheet = line.left, (line.length_m, 2 * high)
     mesh = Mesh()
     for depth, share, low in ((3.5, 1.0, 0.0), (0.0, 0.8, 0.6 * high), (-1.5, 0.25, 1.6 * high)):
         row = np.array([ends[0] + depth * back, ends[1] + depth * back])

@@ -1,8 +1,40 @@
-"""Polylines: their length, and rounded corners."""
+"""Straight lines and polylines: their length, and rounded corners."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 _ARC_STEP_RAD = np.pi / 12
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A straight line in plan.
+
+    Attributes:
+        start, end: (2,) float64, metres.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+
+    @property
+    def length_m(self) -> float:
+        return float(np.linalg.norm(self.end - self.start))
+
+    @property
+    def way(self) -> np.ndarray:
+        """(2,) unit vector along it."""
+        return (self.end - self.start) / self.length_m
+
+    @property
+    def left(self) -> np.ndarray:
+        """(2,) unit vector to the left of ``way``."""
+        return np.array([-self.way[1], self.way[0]])
+
+    def point(self, along_m: float, left_m: float = 0.0) -> np.ndarray:
+        """(2,) plan position."""
+        return self.start + along_m * self.way + left_m * self.left
 
 
 def arc_length(line: np.ndarray) -> np.ndarray:

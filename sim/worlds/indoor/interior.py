@@ -69,7 +69,7 @@ def _fitted(
         for side in space.sides():
             panels += _wall(space, side, style, is_room, rng)
             for low, high in space.walls(side.compass):
-                footprints.append(np.array([[side.at(low), side.at(high)]]))
+                footprints.append(np.array([[side.point(low), side.point(high)]]))
         boxes = _furniture(space, style, rng) if is_room else _fittings(space, style, rng)
         spots = _lamps(space)
         size = space.high - space.low
@@ -100,7 +100,7 @@ def _wall(space: Space, side: Side, style: _Style, is_room: bool, rng: np.random
     name = f"{space.name} {side.compass} wall"
     panels: list[Panel] = []
     for k, (low, high) in enumerate(space.walls(side.compass)):
-        ends = (side.at(low), side.at(high))
+        ends = (side.point(low), side.point(high))
         panels += wall(*ends, (0.0, style.clear_m), finish, f"{name} {k}", _PANEL_M)
     for k, door in enumerate(space.doors.get(side.compass, [])):
         panels += _doorway(side, door, finish, style, f"{name} door {k}", rng)
@@ -115,18 +115,20 @@ def _doorway(
     deep = WALL_M if door.open else _RECESS_M
     z, top = (0.0, _DOOR_HEIGHT_M), f"{label} lintel"
     lintel = f"bare {finish}" if finish in ("plaster", "brick", "concrete") else finish
-    panels = wall(side.at(low), side.at(high), (z[1], style.clear_m), lintel, top, np.inf)
-    panels += wall(side.at(low), side.at(low, deep), z, "frame", f"{label} left jamb", np.inf)
-    panels += wall(side.at(high, deep), side.at(high), z, "frame", f"{label} right jamb", np.inf)
+    panels = wall(side.point(low), side.point(high), (z[1], style.clear_m), lintel, top, np.inf)
+    panels += wall(side.point(low), side.point(low, deep), z, "frame", f"{label} left jamb", np.inf)
+    panels += wall(side.point(high, deep), side.point(high), z, "frame", f"{label} right jamb", np.inf)
     plan = side.box(door.span, (0.0, deep))
     panels += slab(*plan, z[1], False, "frame", f"{label} head", (np.inf, np.inf))
     panels += slab(*plan, 0.0, True, "frame", f"{label} sill", (np.inf, np.inf))
     if not door.open:
-        return panels + wall(side.at(low, deep), side.at(high, deep), z, "door", f"{label} leaf", np.inf)
+        return panels + wall(
+            side.point(low, deep), side.point(high, deep), z, "door", f"{label} leaf", np.inf
+        )
     turn, left = np.deg2rad(rng.uniform(55, 105)), bool(rng.random() < 0.5)
-    hinge = side.at(low + 0.02 if left else high - 0.02, deep)
-    across = side.along if left else -side.along
-    tip = hinge + (high - low - 0.04) * (np.cos(turn) * across + np.sin(turn) * side.outward)
+    hinge = side.point(low + 0.02 if left else high - 0.02, deep)
+    across = side.way if left else -side.way
+    tip = hinge + (high - low - 0.04) * (np.cos(turn) * across + np.sin(turn) * side.left)
     ends = (hinge, tip) if left else (tip, hinge)
     normal = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     thick = _LEAF_M * np.array([-normal[1], normal[0]])
@@ -140,7 +142,7 @@ def _window(side: Side, style: _Style, rng: np.random.Generator, name: str) -> P
     """A bright window in the middle of a side."""
     half = min(0.85, 0.4 * side.length_m)
     middle = side.length_m / 2 + rng.uniform(-0.15, 0.15)
-    ends = (side.at(middle - half, -_THIN_M), side.at(middle + half, -_THIN_M))
+    ends = (side.point(middle - half, -_THIN_M), side.point(middle + half, -_THIN_M))
     z = (0.9, min(2.2, style.clear_m - 0.2))
     return wall(*ends, z, "window", f"{name} {side.compass} window", np.inf)[0]
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dslab.sim.worlds.geometry.route import Stretch
 from dslab.sim.worlds.indoor.building_plan import CROSS_M, WALL_M, Plan
 
 _DOOR_M, _STUB_M = 0.95, 1.8
@@ -13,40 +14,18 @@ _ROOM_WIDTH_M, _ROOM_DEPTH_M = (2.8, 4.4), (2.4, 3.6)
 OPPOSITE = {"west": "east", "north": "south", "east": "west", "south": "north"}
 
 
-@dataclass(frozen=True)
-class Side:
-    """A side of a rectangle as seen from inside, with ``start`` on the left.
+@dataclass(frozen=True, eq=False)
+class Side(Stretch):
+    """A side of a rectangle as seen from inside, with ``start`` on the left and ``left`` pointing outward.
 
-    Attributes:
-        start, end: (2,) plan positions, metres.
-        compass: which side it is.
+    ``compass`` says which side it is.
     """
 
-    start: np.ndarray
-    end: np.ndarray
     compass: str
-
-    @property
-    def length_m(self) -> float:
-        return float(np.linalg.norm(self.end - self.start))
-
-    @property
-    def along(self) -> np.ndarray:
-        """(2,) unit vector to the right as seen."""
-        return (self.end - self.start) / self.length_m
-
-    @property
-    def outward(self) -> np.ndarray:
-        """(2,) unit vector out of the rectangle."""
-        return np.array([-self.along[1], self.along[0]])
-
-    def at(self, along_m: float, out_m: float = 0.0) -> np.ndarray:
-        """(2,) plan position at a distance from the start, and outside by ``out_m``."""
-        return self.start + along_m * self.along + out_m * self.outward
 
     def box(self, span: tuple[float, float], out_m: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner of the rectangle between two distances along and two outward."""
-        ends = np.array([self.at(span[0], out_m[0]), self.at(span[1], out_m[1])])
+        ends = np.array([self.point(span[0], out_m[0]), self.point(span[1], out_m[1])])
         return ends.min(axis=0), ends.max(axis=0)
 
 
@@ -195,10 +174,10 @@ def _end_stubs(plan: Plan, rng: np.random.Generator) -> list[Space]:
 def _open_between(space: Space, low: np.ndarray, high: np.ndarray) -> None:
     """Open a corridor towards a rectangle that touches it."""
     for side in space.sides():
-        out = ((np.array([low, high]) - side.start) @ side.outward).tolist()
+        out = ((np.array([low, high]) - side.start) @ side.left).tolist()
         if min(abs(out[0]), abs(out[1])) > 1e-6 or max(out) < 1e-6:
             continue
-        along = sorted(((np.array([low, high]) - side.start) @ side.along).tolist())
+        along = sorted(((np.array([low, high]) - side.start) @ side.way).tolist())
         span = (max(0.0, along[0]), min(side.length_m, along[1]))
         if span[1] - span[0] > 1e-6:
             space.gaps.setdefault(side.compass, []).append(span)

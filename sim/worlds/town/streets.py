@@ -8,6 +8,7 @@ import numpy as np
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.worlds import CityWorld
+from dslab.sim.worlds.geometry.route import Stretch
 from dslab.sim.worlds.geometry.twins import turned_plan
 
 CARRIAGEWAY_M, FRONT_M = 5.0, 8.0  # from the middle of a street to its kerbs and to its houses
@@ -19,38 +20,16 @@ _SHORTEST_LEG_M = 60.0
 
 
 @dataclass(frozen=True, eq=False)
-class Street:
-    """A straight street.
+class Street(Stretch):
+    """A straight street, given by its middle line.
 
     Attributes:
-        start, end: (2,) float64, metres, ends of its middle line.
         joined: it starts on another street; otherwise both ends are dead ends.
         main: the route follows it.
     """
 
-    start: np.ndarray
-    end: np.ndarray
     joined: bool
     main: bool
-
-    @property
-    def length_m(self) -> float:
-        """Length of the middle line."""
-        return float(np.linalg.norm(self.end - self.start))
-
-    @property
-    def way(self) -> np.ndarray:
-        """(2,) unit vector along it."""
-        return (self.end - self.start) / self.length_m
-
-    @property
-    def left(self) -> np.ndarray:
-        """(2,) unit vector to the left of ``way``."""
-        return np.array([-self.way[1], self.way[0]])
-
-    def point(self, along_m: float, left_m: float) -> np.ndarray:
-        """(2,) plan position."""
-        return self.start + along_m * self.way + left_m * self.left
 
     def box(self, margin_m: float) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper plan corner of the street between its houses, grown on all sides."""
@@ -180,7 +159,7 @@ def _add_side_streets(
     at = OVERSHOOT_M + rng.uniform(30, 60)
     while at < parent.length_m - 20:
         for side in rng.permutation([1.0, -1.0])[: int(rng.integers(1, 3))]:
-            start = parent.point(at, 0.0)
+            start = parent.point(at)
             side_street = Street(start, start + side * rng.uniform(*_SIDE_DEPTH_M) * parent.left, True, False)
             if not _has_room(side_street, parent, streets):
                 continue
