@@ -28,15 +28,7 @@ _DRAWN, _HIDDEN = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_NON
 
 
 class MujocoRenderer:
-    """Renders one world through one camera; see ``sim.rendering.renderer.Renderer``.
-
-    Args:
-        world: the world; ``contrast`` empty means 1 everywhere.
-        camera: intrinsics without distortion.
-
-    Raises:
-        InputError: no OpenGL, or a camera with distortion.
-    """
+    """See ``sim.rendering.renderer.Renderer``."""
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
         self._shape = (camera.height_px, camera.width_px)
@@ -53,7 +45,6 @@ class MujocoRenderer:
         self._bias, self._offset_m = self._projection_row()
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
         gray, zbuffer = np.zeros(self._shape, np.uint8), np.zeros(self._shape, np.float32)
         for _ in self._draw_parts(self._parts, T_world_cam, ids=False):
             nearer = self._zbuffer[::-1] > zbuffer
@@ -65,7 +56,6 @@ class MujocoRenderer:
         return gray, np.divide(self._offset_m, zbuffer + self._bias, out=depth_m, where=zbuffer != 0)
 
     def render_surface_ids(self, T_world_cam: np.ndarray) -> np.ndarray:
-        """(H, W) int32: index into ``WorldModel.surfaces`` per pixel, -1 for none."""
         surfaces, zbuffer = np.full(self._shape, -1, np.int32), np.zeros(self._shape, np.float32)
         for part in self._draw_parts(self._parts, T_world_cam, ids=True):
             rgb, part_zbuffer = self._rgb[::-1], self._zbuffer[::-1]
@@ -76,7 +66,6 @@ class MujocoRenderer:
         return surfaces
 
     def close(self) -> None:
-        """Free the GL resources; the renderer is unusable afterwards."""
         self._context.make_current()
         for part in (*self._parts, *self._smooth):
             part.free()

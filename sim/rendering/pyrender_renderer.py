@@ -19,15 +19,7 @@ _CV_FROM_GL = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's camera looks along -z,
 
 
 class PyrenderRenderer:
-    """Renders one world through one camera; see ``sim.rendering.renderer.Renderer``.
-
-    Args:
-        world: the world; ``contrast`` empty means 1 everywhere.
-        camera: intrinsics without distortion.
-
-    Raises:
-        InputError: no OpenGL, or a camera with distortion.
-    """
+    """See ``sim.rendering.renderer.Renderer``."""
 
     def __init__(self, world: WorldModel, camera: Intrinsics) -> None:
         self._frustum = Frustum.of(camera, world)
@@ -48,7 +40,6 @@ class PyrenderRenderer:
         self._zbuffer = np.empty(shape, np.float32)
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Render a frame: gray (H, W) uint8, depth (H, W) float32 metres, 0 for none."""
         self._look(T_world_cam)
         self._pass.draw(self._scene)
         self._pass.read(self._gray, self._zbuffer)
@@ -58,7 +49,6 @@ class PyrenderRenderer:
         return self._gray[::-1, :, 0].copy(), depth
 
     def render_surface_ids(self, T_world_cam: np.ndarray) -> np.ndarray:
-        """(H, W) int32: index into ``WorldModel.surfaces`` per pixel, -1 for none."""
         self._look(T_world_cam)
         self._pass.draw(self._scene, self._colours)
         self._pass.read(self._rgb, self._zbuffer)
@@ -66,7 +56,6 @@ class PyrenderRenderer:
         return (red | green << 8 | blue << 16) - 1
 
     def close(self) -> None:
-        """Free the GL resources; the renderer is unusable afterwards."""
         self._pass.delete()
 
     def _look(self, T_world_cam: np.ndarray) -> None:

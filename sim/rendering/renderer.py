@@ -6,7 +6,11 @@ import numpy as np
 
 
 class Renderer(Protocol):
-    """Renders one world through one camera. Implementations release their GL memory in ``close``."""
+    """Renders one world through one camera without distortion; a class of (world, camera).
+
+    An empty ``contrast`` of the world means 1 everywhere. Without OpenGL the class raises InputError.
+    Implementations release their GL memory in ``close``.
+    """
 
     def render(self, T_world_cam: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """One sharp, noise-free frame.
