@@ -64,12 +64,7 @@ class RawWriter:
 
 
 class RawFrames:
-    """A ``FrameSource`` over the file of a ``RawWriter``, which counts as in use as long as this exists.
-
-    Args:
-        path: the file.
-        shape: (N, H, W).
-        dtype: of the frames.
+    """A ``FrameSource`` over the (N, H, W) file of a ``RawWriter``, in use as long as this exists.
 
     Raises:
         CorruptEntryError: the file holds anything else.
@@ -90,12 +85,7 @@ class RawFrames:
 
 
 def stored_array(path: Path, shape: tuple[int | None, ...], dtype: type) -> np.ndarray:
-    """Map the array of a .npy file.
-
-    Args:
-        path: the file.
-        shape: that the array must have, None for a side of any length.
-        dtype: that it must have.
+    """Map the array of a .npy file, of a shape with None for a side of any length.
 
     Raises:
         CorruptEntryError: the file holds anything else.
@@ -113,11 +103,7 @@ def stored_array(path: Path, shape: tuple[int | None, ...], dtype: type) -> np.n
 
 
 def stored_archive(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an .npz file by name, in its order.
-
-    Raises:
-        CorruptEntryError: the file holds anything else.
-    """
+    """The arrays of an .npz file by name, in its order. Raises CorruptEntryError for anything else."""
     try:
         open_file(path).close()
         archive = np.load(path)
@@ -130,11 +116,7 @@ def stored_archive(path: Path) -> dict[str, np.ndarray]:
 
 
 def stored_columns(path: Path, count: int) -> dict[str, np.ndarray]:
-    """The columns, (count,) float64 each, of an .npz file, by name, sorted.
-
-    Raises:
-        CorruptEntryError: the file holds anything else.
-    """
+    """The (count,) float64 columns of an .npz file, by name, sorted. Raises as ``stored_archive``."""
     columns = dict(sorted(stored_archive(path).items()))
     for name, column in columns.items():
         if column.shape != (count,) or column.dtype != np.float64:
