@@ -24,7 +24,7 @@ from dslab.experiments.statistics.analysis import analyse
 from dslab.experiments.statistics.difficulties import Counts, correlation_of
 from dslab.experiments.statistics.estimates import Figure, measured_in_units
 from dslab.experiments.statistics.from_records import cells_of
-from dslab.experiments.statistics.judged import judge_cells, share_of_chance, usable
+from dslab.experiments.statistics.judged import judge_cells, share_of_chance
 from dslab.experiments.statistics.outcomes import world_means
 from dslab.experiments.statistics.rehearsal import exchange_power, rehearse_words
 from dslab.experiments.statistics.transfer import Condition, beta_of, transfer
@@ -50,7 +50,7 @@ def trials():
     """Sums over the conditions of each world, as a ratio with its interval."""
     parts = {f"D, {n} threads": lambda c, n=n: c.outcomes.dual_failures[n - 1] for n in range(1, threads + 1)}
     parts["D, what the second thread takes off"] = lambda c: -np.diff(c.outcomes.dual_failures, axis=0)[0]
-    parts["mission failures, two threads"] = lambda c: c.failures("m", 2)
+    parts["mission failures, two threads"] = lambda c: c.events("m2")
     parts["mission failures of the base"] = lambda c: c.events("base_mission_failure")
     parts["breakages"] = lambda c: c.outcomes.breakage
     parts["relocalized"] = lambda c: c.events("relocalized")
@@ -91,7 +91,7 @@ def verdicts_of(rows):
 def way():
     for n in range(1, tested + 1):
         for cell in cells:
-            outcomes = usable(cell, n)
+            outcomes = cell.usable(n)
             forecast = compare_forecast(outcomes)
             both = (measured_in_units(outcomes), forecast.measured)
             q, d = (way_interval(measured, forecast.product, forecast.weakest) for measured in both)
@@ -100,7 +100,7 @@ def way():
 
 def beta():
     for n in range(1, threads + 1):
-        print(n, "; ".join(f"{cell.name} {show(beta_of(usable(cell, n)))}" for cell in cells))
+        print(n, "; ".join(f"{cell.name} {show(beta_of(cell.usable(n)))}" for cell in cells))
 
 
 def difficulties():
@@ -115,10 +115,8 @@ def conditions(n, group):
     judged = judge_cells(cells, n, spec.confirmatory, np.random.default_rng(0), 999, tested)
     of = {cell.cell: cell for cell in judged if cell.n == n}
     for cell in cells:
-        outcomes, kept = usable(cell, n), cell.outcomes.of_first(n).has_units
         fitted = of[cell.name].verdict_in_units != Verdict.UNTESTED and not of[cell.name].saturated
-        worlds = [(cell.world, int(seed)) for seed in cell.worlds[kept]]
-        yield Condition(outcomes, worlds, getattr(cell, group), fitted)
+        yield Condition(cell.usable(n), getattr(cell, group), fitted)
 
 
 def transfers():
@@ -138,11 +136,10 @@ def transfers():
 
 
 def exchange():
-    kinds = [cell.world for cell in cells]
     for n in range(1, tested + 1):
         each = [cell.outcomes.of_first(n) for cell in cells]
         for shared in (0.0, 0.1, 0.25, 0.5):
-            found = exchange_power(each, kinds, shared, np.random.default_rng(n), EXPERIMENTS)
+            found = exchange_power(each, shared, np.random.default_rng(n), EXPERIMENTS)
             print(
                 f"{n}: {shared:.0%} of runs with one draw: power {found.power:.3f} +- {found.error:.3f}, "
                 f"{found.telling:.0f} telling sequences",

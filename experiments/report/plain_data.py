@@ -7,7 +7,6 @@ from typing import Any
 import pandas as pd
 
 from dslab.experiments.runs.files import plain
-from dslab.experiments.statistics.intervals import Proportion
 
 
 def of_trials(column: pd.Series) -> dict[str, Any]:
@@ -17,10 +16,9 @@ def of_trials(column: pd.Series) -> dict[str, Any]:
 
 
 def as_data(value: Any) -> Any:
-    """Convert nested dataclasses to plain data; a proportion gets its estimate too."""
-    if is_dataclass(value) and not isinstance(value, type):
-        data = {field.name: as_data(getattr(value, field.name)) for field in fields(value)}
-        return {"estimate": value.estimate, **data} if isinstance(value, Proportion) else data
+    """Convert nested dataclasses to plain data."""
+    if is_dataclass(value):
+        return {field.name: as_data(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, Mapping):
         return {str(key): as_data(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

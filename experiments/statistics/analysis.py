@@ -14,21 +14,24 @@ from dslab.experiments.statistics.by_conditions import (
     dose_points,
     rescuable_parts,
 )
-from dslab.experiments.statistics.conditional import EventPair, event_pairs
+from dslab.experiments.statistics.conditional import EventPair, Repeats, event_pairs, repeats
 from dslab.experiments.statistics.conditioning import QUANTITIES, BaselineErrors, baseline_errors, lead_ins
 from dslab.experiments.statistics.direction import Direction, directions
 from dslab.experiments.statistics.from_records import cells_of
 from dslab.experiments.statistics.judged import JudgedCell, judge_cells, share_of_chance
-from dslab.experiments.statistics.over_cells import (
+from dslab.experiments.statistics.permutations import permutations_for
+from dslab.experiments.statistics.pooled import (
     Formulas,
+    KindOfWorld,
+    Level,
     WithinSequences,
+    by_world,
+    kind_of_world,
+    level,
     permuted_within,
     score_formulas,
 )
-from dslab.experiments.statistics.permutations import permutations_for
-from dslab.experiments.statistics.pooled import KindOfWorld, Level, by_world, kind_of_world, level
 from dslab.experiments.statistics.readings import Readings, Rescuable, both_readings, rescuable_readings
-from dslab.experiments.statistics.repeats import Repeats, repeats
 from dslab.experiments.statistics.threads import ThreadPair, ThreadShares, thread_pairs, thread_shares
 from dslab.experiments.statistics.world_intervals import Interval, share_interval
 

@@ -29,6 +29,7 @@ SLOPES = tuple(np.geomspace(0.7, 16.0, 8).tolist())
 SHAM = -1
 """Place of a sham trial among the doses."""
 CONFIDENCE = 0.95
+_QUANTILES = (0.5, (1.0 - CONFIDENCE) / 2, 1.0 - (1.0 - CONFIDENCE) / 2)
 MOST_AT_ONCE = 8
 """Doses that are chosen together at most: all their outcomes are weighed."""
 _MIDDLES = 81
@@ -59,14 +60,42 @@ class Boundary:
     sham_rate: float
 
 
-class CurveGrid:
+class Curves:
+    """Curves of the probability of failure over strength.
+
+    Args:
+        middles, slopes, ceilings, sham_rates: x, s, a and g of each, (G,) or of a single one.
+    """
+
+    def __init__(
+        self,
+        middles: Floats | float,
+        slopes: Floats | float,
+        ceilings: Floats | float = 1.0,
+        sham_rates: Floats | float = 0.0,
+    ) -> None:
+        self.middles, self.slopes, self.ceilings, self.sham_rates = middles, slopes, ceilings, sham_rates
+
+    def failure(self, strength: float | Floats) -> Floats:
+        """(..., G) probability of failure by every curve, at strengths of any shape."""
+        u = np.asarray(strength, dtype=float)[..., None]
+        rise = 0.5 * (1.0 + np.tanh(0.5 * self.slopes * (u - self.middles)))
+        return self.sham_rates + (self.ceilings - self.sham_rates) * rise
+
+    def reaching(self, level: float) -> Floats:
+        """(G,) strength at which every curve reaches a probability; infinite if its ceiling is not above."""
+        above = np.maximum(self.ceilings - level, _TINY)
+        risen = np.maximum(level - self.sham_rates, _TINY)
+        found = self.middles + np.log(risen / above) / self.slopes
+        found = np.where(self.sham_rates >= level, -inf, found)
+        return np.where(self.ceilings <= level, inf, found)
+
+
+class CurveGrid(Curves):
     """Every curve of the grid, and what trials say of them.
 
     Args:
         strengths: (D,) of the doses, ascending, at least two.
-
-    Attributes:
-        middles, slopes, ceilings, sham_rates: (G,) parameters x, s, a, g of each curve.
     """
 
     def __init__(self, strengths: Sequence[float]) -> None:
@@ -74,14 +103,7 @@ class CurveGrid:
         low, high = self.strengths[0], self.strengths[-1]
         beyond = _BEYOND * (high - low)
         axes = np.linspace(low - beyond, high + beyond, _MIDDLES), SLOPES, CEILINGS, SHAM_RATES
-        x, s, a, g = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
-        self.middles, self.slopes, self.ceilings, self.sham_rates = x, s, a, g
-
-    def failure(self, strength: float | Floats) -> Floats:
-        """(..., G) probability of failure by every curve, at strengths of any shape."""
-        u = np.asarray(strength, dtype=float)[..., None]
-        rise = 0.5 * (1.0 + np.tanh(0.5 * self.slopes * (u - self.middles)))
-        return self.sham_rates + (self.ceilings - self.sham_rates) * rise
+        super().__init__(*(axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")))
 
     def posterior(self, places: Sequence[int], failed: Sequence[bool]) -> Floats:
         """(G,) probability of every curve after trials; all are alike before.
@@ -123,27 +145,17 @@ class CurveGrid:
             branches = np.concatenate([branches * p, branches * (1.0 - p)])
         return chosen
 
-    def reaching(self, level: float) -> Floats:
-        """(G,) strength at which every curve reaches a probability; infinite if its ceiling is not above."""
-        above = np.maximum(self.ceilings - level, _TINY)
-        risen = np.maximum(level - self.sham_rates, _TINY)
-        found = self.middles + np.log(risen / above) / self.slopes
-        found = np.where(self.sham_rates >= level, -inf, found)
-        return np.where(self.ceilings <= level, inf, found)
-
     def boundary(self, weights: Floats, level: float) -> Boundary:
         """The answer of a posterior for a level."""
         reaching = self.reaching(level)
-        tail = (1.0 - CONFIDENCE) / 2
-        median, low, high = (quantile(reaching, weights, q) for q in (0.5, tail, 1.0 - tail))
         unreachable = float(weights[self.ceilings <= level].sum())
-        return Boundary(level, median, low, high, unreachable, float(weights @ self.sham_rates))
+        of_level = (quantile(reaching, weights, q) for q in _QUANTILES)
+        return Boundary(level, *of_level, unreachable, float(weights @ self.sham_rates))
 
     def curve(self, weights: Floats, strengths: Floats) -> Floats:
         """(3, N) median and ends of the interval of the probability of failure at (N,) strengths."""
-        tail = (1.0 - CONFIDENCE) / 2
         failure = (self.failure(u) for u in strengths)
-        return np.array([[quantile(p, weights, q) for q in (0.5, tail, 1.0 - tail)] for p in failure]).T
+        return np.array([[quantile(p, weights, q) for q in _QUANTILES] for p in failure]).T
 
     @cached_property
     def _failure(self) -> Floats:

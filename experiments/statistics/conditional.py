@@ -1,4 +1,4 @@
-"""Whether two events come in the same runs of a sequence, and whether in the same sequences."""
+"""Whether two events come in the same runs of a sequence, and whether in the same sequences; their counts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,14 +6,13 @@ from itertools import combinations
 from math import exp, inf, sqrt
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import gammaln
 
 from dslab.experiments.statistics.estimates import Figure
 from dslab.experiments.statistics.from_records import HomogeneousCell
 from dslab.experiments.statistics.outcomes import Floats
-from dslab.experiments.statistics.world_intervals import Interval
+from dslab.experiments.statistics.world_intervals import Interval, student
 
 _LEAST_WORLDS = 3
 _HALF = 0.5
@@ -40,6 +39,37 @@ class EventPair:
     across: Interval | None
 
 
+@dataclass(frozen=True)
+class Repeats:
+    """Sequences of one cell by their runs with B and with a failure of one thread in the crossing arm.
+
+    Attributes:
+        cell, world: which one.
+        thread: its number from 1.
+        sequences: (K + 1, K + 1) their number, by runs with B and then with R_j; those of K counted runs.
+    """
+
+    cell: str
+    world: str
+    thread: int
+    sequences: tuple[tuple[int, ...], ...]
+
+
+def repeats(cells: Sequence[HomogeneousCell]) -> tuple[Repeats, ...]:
+    """Count the sequences of every cell, by thread; cells without repeats are left out."""
+    found = []
+    for cell in (cell for cell in cells if cell.shape[2] > 1):
+        for thread, failures in enumerate(cell.outcomes.thread_failures, 1):
+            both = np.stack([cell.outcomes.breakage, failures])
+            counts = both.sum(axis=-1).reshape(2, -1)  # NaN where a run does not count
+            counts = counts[:, np.isfinite(counts).all(axis=0)].astype(int)
+            table = np.zeros((cell.shape[2] + 1,) * 2, int)
+            np.add.at(table, tuple(counts), 1)
+            if table.any():
+                found.append(Repeats(cell.name, cell.world, thread, tuple(map(tuple, table.tolist()))))
+    return tuple(found)
+
+
 def event_pairs(cells: Sequence[HomogeneousCell]) -> tuple[EventPair, ...]:
     """Every pair of B and the threads' failures, over all cells; none without repeats."""
     if not any(cell.shape[2] > 1 for cell in cells):
@@ -49,13 +79,12 @@ def event_pairs(cells: Sequence[HomogeneousCell]) -> tuple[EventPair, ...]:
 
 
 def _pair(cells: Sequence[HomogeneousCell], first: int, second: int) -> EventPair:
-    keys = list(dict.fromkeys((cell.world, int(seed)) for cell in cells for seed in cell.worlds))
-    place = {key: i for i, key in enumerate(keys)}
-    within, worlds, across = [], [], np.zeros((len(cells), len(keys), 4))
-    for i, cell in enumerate(cells):
-        x, y = (cell.outcomes.columns[event] for event in (first, second))
-        at = np.array([place[cell.world, int(seed)] for seed in cell.worlds])
-        within.append(_same_run(x, y).reshape(-1, 4))
+    place = {w: i for i, w in enumerate(dict.fromkeys(w for cell in cells for w in cell.outcomes.worlds))}
+    within, worlds, across = [], [], np.zeros((len(cells), len(place), 4))
+    for i, outcomes in enumerate(cell.outcomes for cell in cells):
+        x, y = outcomes.columns[[first, second]]
+        at = np.array([place[world] for world in outcomes.worlds])
+        within.append(same_run(x, y).reshape(-1, 4))
         worlds.append(np.repeat(at, x.shape[1]))
         across[i, at] = _other_run(x, y).sum(axis=1)
     tables = np.concatenate(within)
@@ -96,7 +125,7 @@ def conditional_odds_ratio(tables: Floats, worlds: np.ndarray) -> Interval | Non
     if abs(value) < _FARTHEST:
         score, variance = _score(tables, value)
         dispersion = max(1.0, float((np.bincount(world, score) ** 2).sum() / variance.sum()))
-    z2 = float(stats.t.ppf(0.975, len(names) - 1)) ** 2
+    z2 = student(len(names) - 1) ** 2
 
     def beyond(log: float, sign: int) -> float:
         score, variance = (part.sum() for part in _score(tables, log))
@@ -122,11 +151,11 @@ def odds_ratio_over_cells(tables: Floats) -> Interval | None:
     total = tables.sum(axis=1) + _HALF
     log = Figure(float(_log_ratio(total)), _log_ratio(total[:, None] - tables))
     error = max(log.error, sqrt(_least_variance(total)))
-    half = float(stats.t.ppf(0.975, log.worlds - 1)) * error
+    half = student(log.worlds - 1) * error
     return Interval(*(exp(log.value + sign * half) for sign in (0, -1, 1)))
 
 
-def _same_run(x: Floats, y: Floats) -> Floats:
+def same_run(x: Floats, y: Floats) -> Floats:
     """(W, S, 4) runs by which of two events, (W, S, K), they have."""
     each = np.stack([x * y, x * (1 - y), (1 - x) * y, (1 - x) * (1 - y)], axis=-1)
     return np.nansum(each, axis=2)
@@ -138,7 +167,7 @@ def _other_run(x: Floats, y: Floats) -> Floats:
     of_x, of_y = (np.where(np.isfinite(x + y), each, np.nan) for each in (x, y))
     one, other = (np.stack([np.nansum(e, axis=2), np.nansum(1 - e, axis=2)], axis=-1) for e in (of_x, of_y))
     pairs = (one[..., :, None] * other[..., None, :]).reshape(*runs.shape[:2], 4)
-    return np.where(runs > 1, (pairs - _same_run(x, y)) / np.maximum(runs - 1, 1), 0.0)
+    return np.where(runs > 1, (pairs - same_run(x, y)) / np.maximum(runs - 1, 1), 0.0)
 
 
 def _tells(tables: Floats) -> np.ndarray:

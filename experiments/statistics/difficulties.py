@@ -16,7 +16,7 @@ from scipy.optimize import brentq, minimize, minimize_scalar
 from scipy.special import comb, ndtr, ndtri
 
 from dslab.experiments.statistics.outcomes import Floats
-from dslab.experiments.statistics.world_intervals import Interval
+from dslab.experiments.statistics.world_intervals import Interval, student
 
 # Equal steps: Gauss-Hermite nodes lie too far apart for sequences that nearly always or never fail.
 NODES = np.linspace(-6, 6, 121)
@@ -161,7 +161,7 @@ def correlation_of(counts: Counts) -> Interval | None:
     bounds = (grid[max(i - 1, 0)], grid[min(i + 1, len(grid) - 1)])
     found = minimize_scalar(loss, bounds=bounds, method="bounded", options={"xatol": 2e-3})
     least, best = min((losses[i], float(grid[i])), (float(found.fun), float(found.x)))
-    allowed = least + float(stats.t.ppf(0.975, max(int(counts.sequences.sum()) - 1, 1))) ** 2 / 2
+    allowed = least + student(max(int(counts.sequences.sum()) - 1, 1)) ** 2 / 2
 
     def end(bound: float) -> float:
         if bound == best or loss(bound) <= allowed:

@@ -6,12 +6,10 @@ from math import copysign, inf, log, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from dslab.experiments.statistics.outcomes import Floats, Outcomes, sequence_means, world_means
+from dslab.experiments.statistics.outcomes import Floats, Outcomes, World, sequence_means, world_means
 from dslab.experiments.statistics.products import ROUNDING, product_of_distinct, product_without_each
-
-World = tuple[str, int]
-"""A world by its kind and its seed."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +66,11 @@ class Figure:
         if abs(self.value) <= ROUNDING * self.scale:
             return 0.0
         return self.value / self.error if self.error else copysign(inf, self.value)
+
+    @property
+    def p(self) -> float:
+        """Two-sided p-value of this t."""
+        return float(2 * stats.t.sf(abs(self.t), self.freedom))
 
     def __add__(self, other: "Figure") -> "Figure":
         """Sum over the same worlds."""
@@ -157,43 +160,29 @@ def _mean_product(by_sequence: Floats) -> Figure | None:
     return Figure.mean(np.where(usable, by_sequence, 0.0).sum(axis=1) / usable.sum(axis=1))
 
 
-@dataclass(frozen=True)
-class Chain:
-    """D over pi_marg as a product of what each step costs; a step that the design cannot tell is None.
+def chain(outcomes: Outcomes) -> dict[str, tuple[Figure, Figure]]:
+    """Numerators and denominators of the steps from what Eq. 1 predicts to what is measured.
 
-    Attributes:
-        arms: (numerator, denominator) of D / Q: the free arm differs from the crossing arm.
-        run: of Q / pi_seq: chance that the threads share within one run.
-        path: of pi_seq / pi_world: what a path shares.
-        world: of pi_world / pi_marg: what a world shares.
-        sequence: of pi_seq / pi_marg, in place of the last two with one sequence per world.
-        whole: of D / pi_marg.
+    Returns:
+        Those that the design can tell: ``world``, pi_world / pi_marg: what a world shares; ``path``, pi_seq /
+        pi_world: what a path shares; ``sequence``, pi_seq / pi_marg, in place of these two with one sequence
+        per world; ``run``, Q / pi_seq: chance that the threads share within one run; ``arms``, D / Q: how the
+        free arm differs from the crossing arm; ``whole``, D / pi_marg.
 
-    Source: Eckhardt & Lee 1985 and Littlewood & Miller 1989 for the last three steps.
+    Source: Eckhardt & Lee 1985 and Littlewood & Miller 1989 for world, path and run.
     """
-
-    arms: tuple[Figure, Figure]
-    run: tuple[Figure, Figure] | None
-    path: tuple[Figure, Figure] | None
-    world: tuple[Figure, Figure] | None
-    sequence: tuple[Figure, Figure] | None
-    whole: tuple[Figure, Figure]
-
-
-def chain(outcomes: Outcomes) -> Chain:
-    """The steps from what Eq. 1 predicts to what is measured."""
     measured, units = dual_failure(outcomes), measured_in_units(outcomes)
     in_sequences, in_worlds = product_in_sequences(outcomes), product_in_worlds(outcomes)
     marginal = product_of_margins(outcomes)
-    between = in_sequences and in_worlds
-    return Chain(
-        (measured, units),
-        (units, in_sequences) if in_sequences else None,
-        (in_sequences, in_worlds) if in_sequences and in_worlds else None,
-        (in_worlds, marginal) if in_worlds else None,
-        (in_sequences, marginal) if in_sequences and not between else None,
-        (measured, marginal),
-    )
+    steps = {
+        "world": (in_worlds, marginal),
+        "path": (in_sequences, in_worlds),
+        "sequence": (None if in_worlds else in_sequences, marginal),
+        "run": (units, in_sequences),
+        "arms": (measured, units),
+        "whole": (measured, marginal),
+    }
+    return {name: (a, c) for name, (a, c) in steps.items() if a is not None and c is not None}
 
 
 def correlation_in_sequences(outcome: Floats) -> tuple[Figure, Figure] | None:

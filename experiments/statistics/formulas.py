@@ -1,6 +1,6 @@
 """Which formula predicts dual failures: each is fitted without one world and scored on it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.optimize import minimize_scalar
 from scipy.special import ndtr, ndtri
 
-from dslab.experiments.statistics.estimates import Figure, World, mean_over_cells
+from dslab.experiments.statistics.estimates import Figure, mean_over_cells
 from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
 from dslab.experiments.statistics.verdicts import holm
 from dslab.experiments.statistics.world_intervals import Interval, difference_interval
@@ -74,98 +74,68 @@ class FormulaScore:
 
 
 def compare_formulas(
-    cells: Sequence[Outcomes],
-    fitted: Sequence[bool],
-    on_units: bool = False,
-    worlds: Sequence[Sequence[World]] | None = None,
-) -> list[FormulaScore]:
-    """Score Eq. 1, its rivals and the ceiling, one world left out of all its cells at a time.
+    cells: Sequence[Outcomes], fitted: Sequence[bool]
+) -> tuple[list[FormulaScore], list[FormulaScore]]:
+    """Score Eq. 1, its rivals and the ceiling on D and on Q, one world left out of all its cells at a time.
 
     Args:
         cells: with the same threads and a unit in each of their worlds.
         fitted: cells that the rivals' parameters are fitted to, by their Q: tested and unsaturated ones.
-        on_units: score on Q instead of D.
-        worlds: of each cell, by kind and seed; the same in all of them if left out.
 
     Returns:
-        Eq. 1, the weakest link, the beta factor, the one-factor model and the ceiling, which is the mean
-        outcome of the other worlds.
+        For D and for Q the scores of ``FORMULAS``; the ceiling is the mean outcome of the other worlds.
     """
-    of_cell = worlds or [[("", i) for i in range(len(cell.breakage))] for cell in cells]
-    return Unseen.of(cells, fitted, of_cell).scores(on_units)
+    means = [world_means(cell.columns) for cell in cells]  # (n + 1, W) each
+    units = [world_means(np.prod(cell.columns, axis=0)) for cell in cells]
+    failures = [world_means(cell.dual_failures[-1]) for cell in cells]
+    chosen = np.asarray(fitted)
+    p = np.array([(x.sum(axis=1) + 0.5) / (x.shape[1] + 1) for x in means])
+    q = np.array([x.mean() for x in units])
+    places = [{world: i for i, world in enumerate(cell.worlds)} for cell in cells]
+    predicted = [np.empty((len(RIVALS) + 1, len(own))) for own in places]
+    for world in dict.fromkeys(world for own in places for world in own):
+        inside = {c: own[world] for c, own in enumerate(places) if world in own}
+        p_others, q_others = p.copy(), q.copy()
+        for c, i in inside.items():
+            p_others[c] = (means[c].sum(axis=1) - means[c][:, i] + 0.5) / means[c].shape[1]
+            q_others[c] = np.delete(units[c], i).mean()
+        beta, r = fit_factors(p_others[chosen], q_others[chosen])
+        found = (eq1(p_others), weakest_link(p_others), beta_factor(p_others, beta), one_factor(p_others, r))
+        for c, i in inside.items():
+            predicted[c][:, i] = [of_all[c] for of_all in found]
+    parameters = dict(zip(RIVALS[1:], fit_factors(p[chosen], q[chosen]), strict=True))
+    on_dual_failures, on_units = (_scores(cells, predicted, y, parameters) for y in (failures, units))
+    return on_dual_failures, on_units
 
 
-@dataclass(frozen=True)
-class Unseen:
-    """What the formulas predict of each world of each cell from the other worlds.
-
-    Attributes:
-        worlds: of each cell, by kind and seed.
-        outcomes: per cell (2, W) world means of D and of Q.
-        predicted: per cell (4, W) by Eq. 1 and its rivals.
-        parameters: the beta factor's beta and the one-factor model's r, fitted to all worlds.
-    """
-
-    worlds: Sequence[Sequence[World]]
-    outcomes: list[Floats]
-    predicted: list[Floats]
-    parameters: tuple[float, float]
-
-    @classmethod
-    def of(
-        cls, cells: Sequence[Outcomes], fitted: Sequence[bool], worlds: Sequence[Sequence[World]]
-    ) -> "Unseen":
-        """Fit the formulas without each world, and to all of them; as of :func:`compare_formulas`."""
-        means = [world_means(cell.columns) for cell in cells]  # (n + 1, W) each
-        units = [world_means(np.prod(cell.columns, axis=0)) for cell in cells]
-        failures = [world_means(cell.dual_failures[-1]) for cell in cells]
-        chosen = np.asarray(fitted)
-        p = np.array([(x.sum(axis=1) + 0.5) / (x.shape[1] + 1) for x in means])
-        q = np.array([x.mean() for x in units])
-        places = [{world: i for i, world in enumerate(own)} for own in worlds]
-        predicted = [np.empty((len(RIVALS) + 1, len(own))) for own in worlds]
-        for world in dict.fromkeys(world for own in worlds for world in own):
-            inside = {c: place[world] for c, place in enumerate(places) if world in place}
-            p_others, q_others = p.copy(), q.copy()
-            for c, i in inside.items():
-                p_others[c] = (means[c].sum(axis=1) - means[c][:, i] + 0.5) / means[c].shape[1]
-                q_others[c] = np.delete(units[c], i).mean()
-            found = _predictions(p_others, q_others, chosen)
-            for c, i in inside.items():
-                predicted[c][:, i] = [of_all[c] for of_all in found]
-        outcomes = [np.stack(both) for both in zip(failures, units, strict=True)]
-        return cls(worlds, outcomes, predicted, _parameters(p, q, chosen))
-
-    def scores(self, on_units: bool) -> list[FormulaScore]:
-        """Scores on Q, or on D."""
-        outcomes = [both[int(on_units)] for both in self.outcomes]
-        predicted = [
-            np.clip([*four, (y.sum() - y + 0.5) / len(y)], 0.5 / len(y), 1 - 0.5 / len(y))
-            for four, y in zip(self.predicted, outcomes, strict=True)
-        ]
-        losses = [
-            -(y * np.log(f) + (1 - y) * np.log(1 - f)) for f, y in zip(predicted, outcomes, strict=True)
-        ]
-        eq1_loss, *others = (
-            mean_over_cells([loss[i] for loss in losses], self.worlds) for i in range(len(FORMULAS))
+def _scores(
+    cells: Sequence[Outcomes],
+    predicted: Sequence[Floats],
+    outcomes: Sequence[Floats],
+    parameters: Mapping[str, float],
+) -> list[FormulaScore]:
+    """Scores of what Eq. 1 and its rivals predict, (4, W) per cell, on (W,) means of an outcome."""
+    limited = [
+        np.clip([*four, (y.sum() - y + 0.5) / len(y)], 0.5 / len(y), 1 - 0.5 / len(y))
+        for four, y in zip(predicted, outcomes, strict=True)
+    ]
+    losses = [-(y * np.log(f) + (1 - y) * np.log(1 - f)) for f, y in zip(limited, outcomes, strict=True)]
+    calibrations = np.array([(f - y).mean(axis=1) for f, y in zip(limited, outcomes, strict=True)])
+    worlds = [cell.worlds for cell in cells]
+    of = {name: mean_over_cells([loss[i] for loss in losses], worlds) for i, name in enumerate(FORMULAS)}
+    gains = {name: of["Eq. 1"] - loss for name, loss in of.items() if name != "Eq. 1"}
+    p = dict(zip(RIVALS, holm([_p_of_gain(gains[name]) for name in RIVALS]), strict=True))
+    return [
+        FormulaScore(
+            name,
+            loss.value,
+            difference_interval(gains[name]) if name in gains else None,
+            p.get(name),
+            calibration,
+            parameters.get(name),
         )
-        gains = [None, *(eq1_loss - other for other in others)]
-        p_rivals = dict(zip(RIVALS, holm([_p_of_gain(gain) for gain in gains[1:4] if gain]), strict=True))
-        parameters = dict(zip(RIVALS[1:], self.parameters, strict=True))
-        calibrations = np.array([(f - y).mean(axis=1) for f, y in zip(predicted, outcomes, strict=True)])
-        return [
-            FormulaScore(
-                name,
-                loss.value,
-                difference_interval(gain) if gain else None,
-                p_rivals.get(name),
-                calibration,
-                parameters.get(name),
-            )
-            for name, loss, gain, calibration in zip(
-                FORMULAS, (eq1_loss, *others), gains, calibrations.T, strict=True
-            )
-        ]
+        for (name, loss), calibration in zip(of.items(), calibrations.T, strict=True)
+    ]
 
 
 def second_thread_gain(outcomes: Outcomes) -> Floats:
@@ -173,15 +143,9 @@ def second_thread_gain(outcomes: Outcomes) -> Floats:
     return world_means(outcomes.dual_failures[0]) - world_means(outcomes.dual_failures[-1])
 
 
-def _predictions(p: Floats, measured: Floats, fitted: np.ndarray) -> list[Floats]:
-    beta, r = _parameters(p, measured, fitted)
-    return [eq1(p), weakest_link(p), beta_factor(p, beta), one_factor(p, r)]
-
-
-def _parameters(p: Floats, measured: Floats, fitted: np.ndarray) -> tuple[float, float]:
-    """The beta factor's beta and the one-factor model's r."""
-    beta, r = (fit_parameter(formula, p[fitted], measured[fitted]) for formula in (beta_factor, one_factor))
-    return beta, r
+def fit_factors(p: Floats, measured: Floats) -> tuple[float, float]:
+    """The beta factor's beta and the one-factor model's r, see :func:`fit_parameter`."""
+    return fit_parameter(beta_factor, p, measured), fit_parameter(one_factor, p, measured)
 
 
 def fit_parameter(formula: Callable[[Floats, float], Floats], p: Floats, measured: Floats) -> float:

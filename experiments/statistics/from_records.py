@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, failure_column, thread_column
+from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, thread_column
 from dslab.experiments.statistics.outcomes import Floats, Outcomes
 
 
@@ -94,6 +93,10 @@ class HomogeneousCell:
         """(W, S, K) an event of 0 or 1, null counting as 0; NaN for a unit that is not counted or missing."""
         return self.grid(self.rows[column].fillna(False).to_numpy(float))
 
+    def events_said(self, column: str) -> Floats | None:
+        """The same; None where the records do not say."""
+        return self.events(column) if self.says(column) else None
+
     def grid(self, by_row: Floats) -> Floats:
         """(W, S, K) values of the counted among the (rows,), NaN elsewhere."""
         found = np.full(self.shape, np.nan)
@@ -108,12 +111,12 @@ class HomogeneousCell:
             self.events("breakage"),
             np.stack([self.events(thread_column("cross", n, "failed")) for n in numbers]),
             np.stack([self.events(dual_column(n)) for n in numbers]),
+            [(self.world, int(seed)) for seed in self.worlds],
         )
 
-    def failures(self, failure: Literal["s", "m"], n: int) -> Floats | None:
-        """(W, S, K) S_J or M_J of the first n threads; None where the records do not say."""
-        column = failure_column(failure, n)
-        return self.events(column) if self.says(column) else None
+    def usable(self, n: int) -> Outcomes:
+        """Outcomes with the first n threads, of the sequences with enough replicates and their worlds."""
+        return self.outcomes.of_first(n).with_units()
 
 
 def is_exposed(table: pd.DataFrame) -> pd.Series:

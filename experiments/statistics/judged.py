@@ -6,9 +6,9 @@ from math import isfinite
 
 import numpy as np
 
+from dslab.experiments.eq1.records import failure_column
 from dslab.experiments.statistics.estimates import (
     Figure,
-    World,
     chain,
     correlation_in_sequences,
     measured_in_units,
@@ -27,7 +27,6 @@ from dslab.experiments.statistics.verdicts import (
 )
 from dslab.experiments.statistics.world_intervals import (
     Interval,
-    Rare,
     few_events,
     ratio_interval,
     share_interval,
@@ -106,69 +105,53 @@ def judge_cells(
     number = permutations or permutations_for(len(cells) * threads)
     pairs = [(n, cell) for n in range(1, threads + 1) for cell in cells if cell.units]
     named = [n <= most and cell.name in confirmatory for n, cell in pairs]
-    of = {i: usable(cell, n) for i, (n, cell) in enumerate(pairs)}
-    tested: dict[int, tuple[Comparison, Comparison]] = {
+    of = [cell.usable(n) for n, cell in pairs]
+    tested = {
         i: (compare_units(outcomes, independence(outcomes, rng, number)), compare_forecast(outcomes))
-        for i, outcomes in of.items()
+        for i, outcomes in enumerate(of)
         if len(outcomes.breakage) > 1 + outcomes.threads
     }
-    found: dict[int, tuple[Verdict, Verdict, float | None, float | None]] = {}
+    found: dict[int, tuple[tuple[Verdict, Verdict], float | None, float | None]] = {}
     for family in (True, False):
         own = [i for i in tested if named[i] == family]
-        units, forecasts = [tested[i][0] for i in own], [tested[i][1] for i in own]
-        p = corrected(units), corrected(forecasts)
-        found |= dict(zip(own, zip(*verdicts(units, forecasts), *p, strict=True), strict=True))
-    return tuple(
-        _judged(cell, of[i], named[i], tested.get(i), found.get(i))
-        for i, (_, cell) in enumerate(pairs)
-        if len(of[i].breakage)
-    )
-
-
-def usable(cell: HomogeneousCell, n: int) -> Outcomes:
-    """Outcomes of the sequences with enough replicates, and of the worlds that have any."""
-    outcomes = cell.outcomes.of_first(n)
-    return outcomes.of_worlds(outcomes.has_units)
-
-
-def worlds_of(cell: HomogeneousCell, n: int) -> list[World]:
-    """Kind and seed of each of the usable worlds."""
-    return [(cell.world, int(seed)) for seed in cell.worlds[cell.outcomes.of_first(n).has_units]]
-
-
-def _judged(
-    cell: HomogeneousCell,
-    outcomes: Outcomes,
-    confirmatory: bool,
-    tested: tuple[Comparison, Comparison] | None,
-    found: tuple[Verdict, Verdict, float | None, float | None] | None,
-) -> JudgedCell:
-    n, happened = outcomes.threads, np.nansum(outcomes.columns, axis=(2, 3)) > 0
-    in_units, forecast = tested or (None, None)
-    on_units, on_forecast, p_units, p_forecast = found or (Verdict.UNTESTED, Verdict.UNTESTED, None, None)
-    return JudgedCell(
-        cell=cell.name,
-        world=cell.world,
-        kind=cell.kind,
-        severity=cell.severity,
-        n=n,
-        confirmatory=confirmatory,
-        worlds=len(outcomes.breakage),
-        units=int(np.isfinite(outcomes.breakage).sum()),
-        worlds_with=tuple(map(int, happened.sum(axis=1))),
-        eq1=in_units.product.value if in_units else None,
-        weakest=in_units.weakest.value if in_units else None,
-        in_units=measured_in_units(outcomes).value,
-        saturated=in_units is not None and in_units.saturated,
-        p_independence=p_units,
-        p_forecast=p_forecast,
-        verdict_in_units=on_units,
-        verdict_forecast=on_forecast,
-        way_in_units=_way(in_units) if in_units else None,
-        way_forecast=_way(forecast) if forecast else None,
-        steps=_steps(outcomes) if tested else {},
-        shares=_shares(cell, n),
-    )
+        units, forecasts = ([tested[i][which] for i in own] for which in (0, 1))
+        words = zip(*verdicts(units, forecasts), strict=True)
+        found |= dict(zip(own, zip(words, corrected(units), corrected(forecasts), strict=True), strict=True))
+    untested = (Verdict.UNTESTED, Verdict.UNTESTED), None, None
+    judged = []
+    for i, (n, cell) in enumerate(pairs):
+        outcomes = of[i]
+        if not len(outcomes.breakage):
+            continue
+        in_units, forecast = tested.get(i, (None, None))
+        (on_units, on_forecast), p_units, p_forecast = found.get(i, untested)
+        happened = np.nansum(outcomes.columns, axis=(2, 3)) > 0
+        judged.append(
+            JudgedCell(
+                cell=cell.name,
+                world=cell.world,
+                kind=cell.kind,
+                severity=cell.severity,
+                n=n,
+                confirmatory=named[i],
+                worlds=len(outcomes.breakage),
+                units=int(np.isfinite(outcomes.breakage).sum()),
+                worlds_with=tuple(map(int, happened.sum(axis=1))),
+                eq1=in_units.product.value if in_units else None,
+                weakest=in_units.weakest.value if in_units else None,
+                in_units=measured_in_units(outcomes).value,
+                saturated=in_units is not None and in_units.saturated,
+                p_independence=p_units,
+                p_forecast=p_forecast,
+                verdict_in_units=on_units,
+                verdict_forecast=on_forecast,
+                way_in_units=_way(in_units) if in_units else None,
+                way_forecast=_way(forecast) if forecast else None,
+                steps=_steps(outcomes) if in_units else {},
+                shares=_shares(cell, n),
+            )
+        )
+    return tuple(judged)
 
 
 def _way(found: Comparison) -> Interval | None:
@@ -177,17 +160,12 @@ def _way(found: Comparison) -> Interval | None:
 
 def _steps(outcomes: Outcomes) -> dict[str, Interval]:
     """The steps of the chain with their intervals."""
-    found = chain(outcomes)
-    margins = tuple(float(p) for p in world_means(outcomes.columns).mean(axis=1))
-    ratios = {}
-    for name in STEPS:
-        pair = getattr(found, name)
+    ratios = {
         # Only a product of margins has the variance of a product of counts.
-        shares = margins if name in ("world", "sequence", "whole") else ()
-        ratio = None if pair is None else ratio_of_shares(*pair, shares)
-        if ratio is not None:
-            ratios[name] = ratio
-    return ratios
+        name: ratio_of_shares(*pair, outcomes.margins if name in ("world", "sequence", "whole") else ())
+        for name, pair in chain(outcomes).items()
+    }
+    return {name: ratio for name, ratio in ratios.items() if ratio is not None}
 
 
 def ratio_of_shares(
@@ -201,7 +179,7 @@ def ratio_of_shares(
     """
     if numerator.worlds < 3 or not np.isfinite([*numerator.without, *denominator.without]).all():
         return None
-    rare = Rare(shares) if few_events(numerator.pseudo_values, shares) else None
+    rare = shares if few_events(numerator.pseudo_values, shares) else None
     ratio = ratio_interval(numerator, denominator, rare)
     if ratio is None or not isfinite(ratio.value):
         return None
@@ -236,12 +214,11 @@ def share_of_chance(cells: Sequence[HomogeneousCell]) -> Interval | None:
 
     None without repeats, without a cell of at least 3 worlds, or where B does not vary.
     """
-    kept = [cell for cell in cells if usable(cell, 1).has_units.sum() > 2]
-    found = [correlation_in_sequences(usable(cell, 1).breakage) for cell in kept]
-    known = [each for each in found if each is not None]
-    if not known or len(known) < len(found):
+    kept = [outcomes for cell in cells if len((outcomes := cell.usable(1)).breakage) > 2]
+    known = [found for o in kept if (found := correlation_in_sequences(o.breakage)) is not None]
+    if not known or len(known) < len(kept):
         return None
-    worlds = [worlds_of(cell, 1) for cell in kept]
+    worlds = [outcomes.worlds for outcomes in kept]
     chance = over_cells([of_cell - within for within, of_cell in known], worlds)
     ratio = ratio_interval(chance, over_cells([of_cell for _, of_cell in known], worlds))
     return Interval(*(min(max(0.0, x), 1.0) for x in (ratio.value, ratio.low, ratio.high))) if ratio else None
@@ -253,11 +230,9 @@ def _shares(cell: HomogeneousCell, n: int) -> dict[str, Interval]:
     events: dict[str, Floats | None] = {
         "breakage": cell.outcomes.breakage,
         "dual_failure": cell.outcomes.dual_failures[n - 1],
-        "system_failure": cell.failures("s", n),
-        "mission_failure": cell.failures("m", n),
-        "base_mission_failure": cell.events("base_mission_failure")
-        if cell.says("base_mission_failure")
-        else None,
+        "system_failure": cell.events_said(failure_column("s", n)),
+        "mission_failure": cell.events_said(failure_column("m", n)),
+        "base_mission_failure": cell.events_said("base_mission_failure"),
     }
     found = {name: share_by_world(np.where(valid, e, np.nan)) for name, e in events.items() if e is not None}
     if cell.says("silent_failure"):

@@ -7,14 +7,32 @@ Source: Huang et al., "Dual-SLAM: A framework for robust single camera navigatio
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import fisher_exact
+from scipy.stats import beta, fisher_exact
 
-from dslab.experiments.statistics.intervals import Proportion, clopper_pearson
 from dslab.experiments.statistics.outcomes import Floats
 from dslab.experiments.statistics.world_intervals import Interval
 from dslab.scenarios.seeds import rng_for
 
 TRIALS_PER_SEQUENCE = 10
+_TAIL = (1 - 0.95) / 2
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """A share of independent units and its exact interval, never NaN.
+
+    Attributes:
+        estimate: the share; None without units.
+        events, units: number of units with the property, and of all.
+        low, high: ends of the interval of 95 %; [0, 1] without units.
+    """
+
+    estimate: float | None
+    events: int
+    units: int
+    low: float
+    high: float
+    confidence: float = 0.95
 
 
 @dataclass(frozen=True)
@@ -100,69 +118,65 @@ class PaperAnalysis:
     alike_p: float
 
 
-def reanalyse(confidence: float = 0.95, draws: int = 20_000, seed: int = 0) -> tuple[PaperAnalysis, ...]:
+def clopper_pearson(events: int, units: int) -> Proportion:
+    """Exact interval, which covers any true share with at least 95 %.
+
+    Source: Clopper & Pearson, "The use of confidence or fiducial limits", Biometrika 1934.
+    """
+    low = float(beta.ppf(_TAIL, events, units - events + 1)) if events > 0 else 0.0
+    high = float(beta.isf(_TAIL, events + 1, units - events)) if events < units else 1.0
+    return Proportion(events / units if units else None, events, units, low, high)
+
+
+def reanalyse(draws: int = 20_000, seed: int = 0) -> tuple[PaperAnalysis, ...]:
     """Reanalyse every row of Table III, and the total of each system after its rows."""
     found = []
     for system in dict.fromkeys(row.system for row in TABLE_III):
         rows = [row for row in TABLE_III if row.system == system]
-        found += [reanalyse_row(row, confidence, draws, seed) for row in (*rows, total(rows))]
+        numbers = ("trials", "breakages", "with_one", "with_two", "failures")
+        total = PaperCounts(system, "Total", *(sum(getattr(r, name) for r in rows) for name in numbers))
+        found += [_reanalyse(row, draws, seed) for row in (*rows, total)]
     return tuple(found)
 
 
-def total(rows: list[PaperCounts]) -> PaperCounts:
-    """The sum of a system's rows."""
-    return PaperCounts(
-        rows[0].system,
-        "Total",
-        sum(r.trials for r in rows),
-        sum(r.breakages for r in rows),
-        sum(r.with_one for r in rows),
-        sum(r.with_two for r in rows),
-        sum(r.failures for r in rows),
-    )
-
-
-def reanalyse_row(counts: PaperCounts, confidence: float, draws: int, seed: int) -> PaperAnalysis:
-    """Reanalyse one row."""
+def _reanalyse(counts: PaperCounts, draws: int, seed: int) -> PaperAnalysis:
     datasets = [counts.dataset] if counts.dataset in TABLE_II else list(TABLE_II)
     failures, trials = (sum(TABLE_II[d]["ORB-SLAM"][i] for d in datasets) for i in range(2))
     rng = rng_for(seed, "paper", counts.system, counts.dataset)
-    p0, first, second = _posterior(counts, 1, draws, rng)
-    _, first_alike, second_alike = _posterior(counts, TRIALS_PER_SEQUENCE, draws, rng)
+
+    def posterior(trials_as_one: int) -> tuple[Floats, Floats, Floats]:
+        """Draws of p0 and of the threads' shares of failures under Jeffreys' prior."""
+        pairs = (
+            (counts.breakages, counts.trials - counts.breakages),
+            (counts.first_failed, counts.with_one),
+            (counts.failures, counts.with_two),
+        )
+        p0, first, second = (
+            rng.beta(events / trials_as_one + 0.5, others / trials_as_one + 0.5, draws)
+            for events, others in pairs
+        )
+        return p0, first, second
+
+    p0, first, second = posterior(1)
+    _, first_alike, second_alike = posterior(TRIALS_PER_SEQUENCE)
     share_1, share_2 = counts.first_failed / counts.breakages, counts.failures / counts.first_failed
     ratio = share_2 / share_1
+    table = [[counts.first_failed, counts.with_one], [counts.failures, counts.with_two]]
     return PaperAnalysis(
         counts,
-        clopper_pearson(failures, trials, confidence),
-        clopper_pearson(counts.breakages, counts.trials, confidence),
-        clopper_pearson(counts.first_failed, counts.breakages, confidence),
-        clopper_pearson(counts.failures, counts.first_failed, confidence),
-        clopper_pearson(counts.failures, counts.trials, confidence),
-        _of_draws(counts.breakages / counts.trials * share_1**2, p0 * first**2, confidence),
-        _of_draws(ratio, second / first, confidence),
-        _of_draws(ratio, second_alike / first_alike, confidence),
-        float(
-            fisher_exact(
-                [[counts.first_failed, counts.with_one], [counts.failures, counts.with_two]], "two-sided"
-            ).pvalue
-        ),
+        clopper_pearson(failures, trials),
+        clopper_pearson(counts.breakages, counts.trials),
+        clopper_pearson(counts.first_failed, counts.breakages),
+        clopper_pearson(counts.failures, counts.first_failed),
+        clopper_pearson(counts.failures, counts.trials),
+        _of_draws(counts.breakages / counts.trials * share_1**2, p0 * first**2),
+        _of_draws(ratio, second / first),
+        _of_draws(ratio, second_alike / first_alike),
+        float(fisher_exact(table, "two-sided").pvalue),
     )
 
 
-def _posterior(
-    counts: PaperCounts, trials_as_one: int, draws: int, rng: np.random.Generator
-) -> tuple[Floats, Floats, Floats]:
-    def share(events: int, others: int) -> Floats:
-        return rng.beta(events / trials_as_one + 0.5, others / trials_as_one + 0.5, draws)
-
-    return (
-        share(counts.breakages, counts.trials - counts.breakages),
-        share(counts.first_failed, counts.with_one),
-        share(counts.failures, counts.with_two),
-    )
-
-
-def _of_draws(value: float, draws: Floats, confidence: float) -> Interval:
-    """A value with the equal-tailed interval of draws from the posterior under Jeffreys' prior."""
-    low, high = np.quantile(draws, [(1 - confidence) / 2, (1 + confidence) / 2])
+def _of_draws(value: float, draws: Floats) -> Interval:
+    """A value with the equal-tailed interval of draws from the posterior."""
+    low, high = np.quantile(draws, [_TAIL, 1 - _TAIL])
     return Interval(value, float(low), float(high))

@@ -44,7 +44,7 @@ def independence(outcomes: Outcomes, rng: np.random.Generator, permutations: int
     The replicates of a world stay together, so that the test holds at any correlation within worlds. Valid
     ones come first in their sequences, and sequences with any in their worlds, so that moved units meet some.
     """
-    columns = _valid_first(outcomes.of_worlds(outcomes.has_units).columns)
+    columns = _valid_first(outcomes.with_units().columns)
     worlds = np.arange(columns.shape[1])
     observed = float(_moved(columns, [worlds[None]] * outcomes.threads)[0])
     everyone = np.tile(worlds, (permutations, 1))
@@ -56,10 +56,7 @@ def independence(outcomes: Outcomes, rng: np.random.Generator, permutations: int
 
 
 def within_sequences(
-    cells: Sequence[Outcomes],
-    rng: np.random.Generator,
-    permutations: int = 9999,
-    kinds: Sequence[str] | None = None,
+    cells: Sequence[Outcomes], rng: np.random.Generator, permutations: int = 9999
 ) -> PermutationTest:
     """Sum of Q over cells against that with each thread's replicates permuted within their sequences.
 
@@ -67,18 +64,11 @@ def within_sequences(
     replicate that is void in one cell is left out of all that have its sequence. Kinds of world are permuted
     each for itself. With fewer than 20 sequences in which B and a thread's failure vary over the replicates
     that enter, there is no verdict: the outcome of a sequence is determined.
-
-    Args:
-        cells: of the same shape in each kind, NaN for a sequence that a cell has not.
-        rng: stream of the permutations.
-        permutations: their number.
-        kinds: of world, of each cell; one kind if left out.
     """
-    names = kinds or [""] * len(cells)
-    groups = [
-        _Replicates.of([cell for cell, of in zip(cells, names, strict=True) if of == kind])
-        for kind in dict.fromkeys(names)
-    ]
+    kinds: dict[str, list[Outcomes]] = {}
+    for cell in cells:
+        kinds.setdefault(cell.worlds[0][0], []).append(cell)
+    groups = [_Replicates.of(of_kind) for of_kind in kinds.values()]
     observed, count = sum(each.observed for each in groups), sum(each.telling for each in groups)
     if count < _LEAST_TELLING:
         return PermutationTest(observed, None, None, count)
@@ -104,7 +94,9 @@ class _Replicates:
 
     @classmethod
     def of(cls, cells: Sequence[Outcomes]) -> "_Replicates":
-        x = np.stack([cell.columns for cell in cells])  # (cells, 1 + n, W, S, K)
+        worlds = sorted({world for cell in cells for world in cell.worlds})
+        most = np.max([cell.breakage.shape[1:] for cell in cells], axis=0)
+        x = np.stack([cell.placed(worlds, *most).columns for cell in cells])  # (cells, 1 + n, W, S, K)
         known = np.isfinite(x).all(axis=1)
         valid = (known | ~known.any(axis=3, keepdims=True)).all(axis=0)  # a cell may lack the sequence
         entering = known & valid

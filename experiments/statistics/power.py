@@ -1,7 +1,7 @@
 """Planning: the power of the very tests that will judge Eq. 1, by simulated experiments."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,7 +67,16 @@ def power_of(
     Raises:
         ValueError: a share or the ratio is out of range.
     """
-    truth, predicted = _truth(p0, pr, ratio, design)
+    shares = (p0, *pr)
+    if not pr or not all(0 < share < 1 for share in shares):
+        raise ValueError(f"p0 and pr must be between 0 and 1, are {', '.join(f'{s:g}' for s in shares)}")
+    if not 0 <= design.correlation <= 1:
+        raise ValueError(f"the ICC must be from 0 to 1, is {design.correlation:g}")
+    predicted = math.prod(shares)
+    most = min(shares) / predicted
+    if not 1 <= ratio <= most:
+        raise ValueError(f"the ratio must be from 1 to {most:.3g}, the weakest link's, is {ratio:g}")
+    truth = Truth(shares, design.correlation, (ratio - 1) / (most - 1))
     rng, level = np.random.default_rng(seed), LEVEL / design.tests
     permutations = math.ceil(40 / level) - 1
     found = np.zeros((experiments, 2), bool)
@@ -75,9 +84,9 @@ def power_of(
         outcomes = simulate(truth, rng, design.worlds, design.sequences, design.replicates)
         p = independence(outcomes, rng, permutations).p, compare_forecast(outcomes).p
         each[:] = [of_test is not None and of_test <= level for of_test in p]
-    shares = found.mean(axis=0)
-    error = float(np.sqrt(shares * (1 - shares) / experiments).max())
-    return Power(design, predicted, ratio * predicted, float(shares[0]), float(shares[1]), error)
+    powers = found.mean(axis=0)
+    error = float(np.sqrt(powers * (1 - powers) / experiments).max())
+    return Power(design, predicted, ratio * predicted, float(powers[0]), float(powers[1]), error)
 
 
 def worlds_needed(
@@ -89,25 +98,19 @@ def worlds_needed(
     experiments: int = 400,
     seed: int = 0,
 ) -> Power | None:
-    """The least number of worlds with which the test of independence has a power.
-
-    Args:
-        p0, pr, ratio, experiments, seed: as of :func:`power_of`.
-        power: wanted, in (0, 1).
-        design: of the cell, whatever its number of worlds.
+    """The least number of worlds with which the test of independence has a power in (0, 1).
 
     Returns:
         The power with that number, in steps of a twentieth; None if 2,000 worlds are too few.
 
     Raises:
-        ValueError: a share, the ratio or the power is out of range.
+        ValueError: a share, the ratio or the power is out of range; see :func:`power_of` for the arguments.
     """
     if not 0 < power < 1:
         raise ValueError(f"power must be between 0 and 1, is {power:g}")
 
     def at(worlds: int) -> Power:
-        cell = Design(worlds, design.sequences, design.replicates, design.correlation, design.tests)
-        return power_of(p0, pr, ratio, cell, experiments, seed)
+        return power_of(p0, pr, ratio, replace(design, worlds=worlds), experiments, seed)
 
     low, high = _LEAST_WORLDS, _LEAST_WORLDS
     while (found := at(high)).independence < power:
@@ -122,16 +125,3 @@ def worlds_needed(
         else:
             low = middle
     return found
-
-
-def _truth(p0: float, pr: tuple[float, ...], ratio: float, design: Design) -> tuple[Truth, float]:
-    shares = (p0, *pr)
-    if not pr or not all(0 < share < 1 for share in shares):
-        raise ValueError(f"p0 and pr must be between 0 and 1, are {', '.join(f'{s:g}' for s in shares)}")
-    if not 0 <= design.correlation <= 1:
-        raise ValueError(f"the ICC must be from 0 to 1, is {design.correlation:g}")
-    product = math.prod(shares)
-    most = min(shares) / product
-    if not 1 <= ratio <= most:
-        raise ValueError(f"the ratio must be from 1 to {most:.3g}, the weakest link's, is {ratio:g}")
-    return Truth(shares, design.correlation, (ratio - 1) / (most - 1)), product

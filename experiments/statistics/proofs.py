@@ -1,32 +1,29 @@
 """Proofs of the statistics: simulated experiments with known answers, and how often each method is right."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from math import inf, sqrt
+from itertools import product
+from math import inf, prod, sqrt
 
 import numpy as np
 import pandas as pd
 
 from dslab.experiments.eq1.records import Outcome
 from dslab.experiments.jobs.pool import run_each
-from dslab.experiments.statistics import boundary_proofs, estimates
+from dslab.experiments.statistics import estimates
+from dslab.experiments.statistics.boundary_proofs import NOT_REACHED, REACHED, covers, not_reached
 from dslab.experiments.statistics.formulas import RIVALS, compare_formulas
 from dslab.experiments.statistics.from_records import cells_of
 from dslab.experiments.statistics.outcomes import Outcomes, world_means
 from dslab.experiments.statistics.permutations import PermutationTest, independence, within_sequences
 from dslab.experiments.statistics.simulated import Truth, simulate
 from dslab.experiments.statistics.verdicts import LEVEL, Verdict, compare_forecast, compare_units, verdicts
-from dslab.experiments.statistics.world_intervals import (
-    Interval,
-    Rare,
-    few_events,
-    ratio_interval,
-    share_interval,
-)
+from dslab.experiments.statistics.world_intervals import few_events, ratio_interval, share_interval
 
 _CHUNK = 50  # experiments with one random stream
 _PERMUTATIONS = 599  # 2 (1 + 14) / 600 is .05
+_KINDS = ("room", "room", "corridor")
 
 Experiment = Callable[[np.random.Generator], float]
 
@@ -114,11 +111,14 @@ class Cell:
     replicates: int = 3
     void: float = 0.0
 
+    def simulate(self, rng: np.random.Generator) -> Outcomes:
+        """Outcomes of all worlds."""
+        return simulate(self.truth, rng, self.worlds, self.sequences, self.replicates, self.void)
+
     def draw(self, rng: np.random.Generator) -> Outcomes:
         """Outcomes of the worlds with enough valid replicates."""
-        drawn = simulate(self.truth, rng, self.worlds, self.sequences, self.replicates, self.void)
-        usable = drawn.of_first(drawn.threads)
-        return usable.of_worlds(usable.has_units)
+        drawn = self.simulate(rng)
+        return drawn.of_first(drawn.threads).with_units()
 
     def __str__(self) -> str:
         shares = ", ".join(f"{share:g}" for share in self.truth.shares)
@@ -147,64 +147,46 @@ CONSISTENT = (Cell(Truth((0.5, 0.7), 0.3, 0.3), 150), Cell(Truth((0.15, 0.05, 0.
 
 def claims() -> list[Claim]:
     """Every line that is to be proved."""
-    found = []
+    return [Claim(name, low, high, experiment) for name, (low, high), experiment in _claims()]
+
+
+def _claims() -> Iterator[tuple[str, tuple[float, float], Experiment]]:
+    size, exact, rare = (0, 0.06), (0.93, 0.97), (0.90, 1)
     for cell in EQ1_TRUE:
-        found.append(Claim(f"size of independence, {cell}", 0, 0.06, partial(_independence, cell)))
-        found.append(Claim(f"size of forecast, {cell}", 0, 0.06, partial(_forecast, cell)))
+        yield f"size of independence, {cell}", size, partial(_independence, cell)
+        yield f"size of forecast, {cell}", size, partial(_forecast, cell)
     name = f"forecast finds one cause of all, {RARE_WITH_ONE_CAUSE}"
-    found.append(Claim(name, 0.9, 1, partial(_forecast, RARE_WITH_ONE_CAUSE)))
+    yield name, rare, partial(_forecast, RARE_WITH_ONE_CAUSE)
     for cell in (Cell(Truth((0.5, 0.5))), Cell(Truth((0.5, 0.5), 0.3), 60, 2, 3, 0.2)):
-        found.append(Claim(f"size within sequences, {cell}", 0, 0.06, partial(_within, cell)))
+        yield f"size within sequences, {cell}", size, partial(_within, cell)
     for cell in CONSISTENT:
-        found.append(Claim(f"consistent at k = .3, {cell}", 0, 0.06, partial(_consistent, cell)))
-    for share, worlds in ((0.3, 100), (0.5, 30), (0.06, 100)):
-        for correlation in (0.0, 0.9):
-            name = f"coverage of a share of {share:g}, {worlds} worlds, correlation {correlation:g}"
-            found.append(
-                Claim(name, 0.93, 0.97, partial(_covers_share, Truth((share,), correlation), worlds))
-            )
-    for common in (0.0, 0.5):
-        for correlation in (0.0, 0.9):
-            truth = Truth((0.5, 0.4), correlation, common)
-            what = f"{common:g} of the worlds with one cause, correlation {correlation:g}"
-            found.append(
-                Claim(f"coverage of D over Eq. 1, {what}", 0.93, 0.97, partial(_covers_ratio, truth))
-            )
-    rare = Truth((0.15, 0.15), 0.3)
-    found.append(Claim("coverage of D over Eq. 1, rare failures", 0.90, 1, partial(_covers_ratio, rare)))
+        yield f"consistent at k = .3, {cell}", size, partial(_consistent, cell)
+    for (share, worlds), correlation in product(((0.3, 100), (0.5, 30), (0.06, 100)), (0.0, 0.9)):
+        name = f"coverage of a share of {share:g}, {worlds} worlds, correlation {correlation:g}"
+        yield name, exact, partial(_covers_share, Cell(Truth((share,), correlation), worlds))
+    for common, correlation in product((0.0, 0.5), (0.0, 0.9)):
+        what = f"{common:g} of the worlds with one cause, correlation {correlation:g}"
+        truth = Truth((0.5, 0.4), correlation, common)
+        yield f"coverage of D over Eq. 1, {what}", exact, partial(_covers_ratio, truth)
+    yield "coverage of D over Eq. 1, rare failures", rare, partial(_covers_ratio, Truth((0.15, 0.15), 0.3))
     for threads in (1, 2):
-        ratio = 0.4**-threads
-        found.append(
-            Claim(
-                f"pi_seq over pi_marg where one draw decides all, n = {threads}",
-                0.93 * ratio,
-                1.07 * ratio,
-                partial(_planted_ratio, threads),
-            )
-        )
-    found.append(Claim("sequences that are decided give no verdict within", 1, 1, _deterministic))
-    found.append(Claim("a mixture of kinds is optimistic within its kinds", 0, 0.05, _mixture))
-    found.append(Claim("a mixture of kinds is optimistic if it is one cell", 0.95, 1, _mixed_cell))
-    found.append(Claim("a stress that acts on half of the sequences is optimistic", 0, 0.05, _half_exposed))
-    for common, design, what, bounds in (
-        (0.0, (60, 1, 2), "Eq. 1 is true", (0, 0.05)),
-        (0.5, (100, 1, 3), "half of the worlds have one cause", (0.9, 1)),
+        ratio, name = 0.4**-threads, f"pi_seq over pi_marg where one draw decides all, n = {threads}"
+        yield name, (0.93 * ratio, 1.07 * ratio), partial(_planted_ratio, threads)
+    yield "sequences that are decided give no verdict within", (1, 1), _deterministic
+    yield "a mixture of kinds is optimistic within its kinds", (0, 0.05), _mixture
+    yield "a mixture of kinds is optimistic if it is one cell", (0.95, 1), _mixed_cell
+    yield "a stress that acts on half of the sequences is optimistic", (0, 0.05), _half_exposed
+    for what, common, design, bounds in (
+        ("Eq. 1 is true", 0.0, (60, 1, 2), (0, 0.05)),
+        ("half of the worlds have one cause", 0.5, (100, 1, 3), (0.9, 1)),
     ):
-        experiment = partial(_formula_wins, common, design)
-        found.append(Claim(f"some formula beats Eq. 1 where {what}", *bounds, experiment))
-    return found + _boundary_claims()
-
-
-def _boundary_claims() -> list[Claim]:
-    found = []
-    for planted, level in boundary_proofs.REACHED:
-        what = f"{level:g}, slope {planted.slope:g}, {planted.sham_rate:g} to {planted.ceiling:g}"
-        experiment = partial(boundary_proofs.covers, planted, level)
-        found.append(Claim(f"coverage of the boundary of {what}", 0.90, 1, experiment))
-    for planted, level in boundary_proofs.NOT_REACHED:
-        name = f"boundary of {level:g} is not reached, ceiling {planted.ceiling:g}"
-        found.append(Claim(name, 0.90, 1, partial(boundary_proofs.not_reached, planted, level)))
-    return found
+        yield f"some formula beats Eq. 1 where {what}", bounds, partial(_formula_wins, common, design)
+    for planted, level in REACHED:
+        what = f"{level:g}, slope {planted.slopes:g}, {planted.sham_rates:g} to {planted.ceilings:g}"
+        yield f"coverage of the boundary of {what}", rare, partial(covers, planted, level)
+    for planted, level in NOT_REACHED:
+        name = f"boundary of {level:g} is not reached, ceiling {planted.ceilings:g}"
+        yield name, rare, partial(not_reached, planted, level)
 
 
 def _chunk(chunk: tuple[int, int, int, int]) -> np.ndarray:
@@ -234,30 +216,29 @@ def _consistent(cell: Cell, rng: np.random.Generator) -> float:
 
 def _within(cell: Cell, rng: np.random.Generator) -> float:
     """Two cells in one kind of world and one in another."""
-    drawn = [
-        simulate(cell.truth, rng, cell.worlds, cell.sequences, cell.replicates, cell.void) for _ in range(3)
-    ]
-    p = within_sequences(drawn, rng, _PERMUTATIONS, ["room", "room", "corridor"]).p
+    drawn = [_of_kind(kind, cell.simulate(rng)) for kind in _KINDS]
+    p = within_sequences(drawn, rng, _PERMUTATIONS).p
     return float("nan") if p is None else float(p <= LEVEL)
 
 
-def _covers_share(truth: Truth, worlds: int, rng: np.random.Generator) -> float:
-    found = share_interval(world_means(simulate(truth, rng, worlds, 1, 3).breakage))
-    return float(found.low <= truth.shares[0] <= found.high)
+def _of_kind(kind: str, outcomes: Outcomes) -> Outcomes:
+    return replace(outcomes, worlds=[(kind, seed) for _, seed in outcomes.worlds])
+
+
+def _covers_share(cell: Cell, rng: np.random.Generator) -> float:
+    found = share_interval(world_means(cell.simulate(rng).breakage))
+    return float(found.low <= cell.truth.shares[0] <= found.high)
 
 
 def _covers_ratio(truth: Truth, rng: np.random.Generator) -> float:
-    found = _forecast_ratio(simulate(truth, rng, 100, 1, 3))
-    product = float(np.prod(truth.shares))
-    whole = truth.common * min(truth.shares) + (1 - truth.common) * product
-    return float("nan") if found is None else float(found.low <= whole / product <= found.high)
-
-
-def _forecast_ratio(outcomes: Outcomes) -> Interval | None:
-    """Interval of D over pi_marg."""
-    shares = tuple(map(float, world_means(outcomes.columns).mean(axis=1)))
-    rare = Rare(shares) if few_events(world_means(outcomes.dual_failures[-1]), shares) else None
-    return ratio_interval(estimates.dual_failure(outcomes), estimates.product_of_margins(outcomes), rare)
+    outcomes = simulate(truth, rng, 100, 1, 3)
+    measured, product_of_margins = estimates.dual_failure(outcomes), estimates.product_of_margins(outcomes)
+    shares = outcomes.margins
+    rare = shares if few_events(world_means(outcomes.dual_failures[-1]), shares) else None
+    found = ratio_interval(measured, product_of_margins, rare)
+    eq1 = prod(truth.shares)
+    whole = truth.common * min(truth.shares) + (1 - truth.common) * eq1
+    return float("nan") if found is None else float(found.low <= whole / eq1 <= found.high)
 
 
 def _planted_ratio(threads: int, rng: np.random.Generator) -> float:
@@ -270,12 +251,9 @@ def _deterministic(rng: np.random.Generator) -> float:
     return float(within_sequences([simulate(Truth((0.4, 0.4), 1.0, 1.0), rng, 60, 1, 3)], rng).p is None)
 
 
-def _kinds(rng: np.random.Generator) -> Sequence[Outcomes]:
-    return [simulate(Truth((p, p), 0.3), rng, 50, 1, 2) for p in (0.35, 0.65)]
-
-
 def _mixture(rng: np.random.Generator) -> float:
-    return float(_any_optimistic(_kinds(rng), rng))
+    kinds = [simulate(Truth((p, p), 0.3), rng, 50, 1, 2) for p in (0.35, 0.65)]
+    return float(_any_optimistic(kinds, rng))
 
 
 def _mixed_cell(rng: np.random.Generator) -> float:
@@ -324,7 +302,9 @@ def _any_optimistic(cells: Sequence[Outcomes], rng: np.random.Generator) -> bool
 
 def _formula_wins(common: float, design: tuple[int, int, int], rng: np.random.Generator) -> float:
     shares = ((0.3, 0.4), (0.5, 0.5), (0.6, 0.3))
-    cells = [simulate(Truth(each, 0.3, common), rng, *design) for each in shares]
-    worlds = [[(kind, i) for i in range(design[0])] for kind in ("room", "room", "corridor")]
-    scores = compare_formulas(cells, [True] * len(cells), worlds=worlds)
+    cells = [
+        _of_kind(kind, simulate(Truth(each, 0.3, common), rng, *design))
+        for kind, each in zip(_KINDS, shares, strict=True)
+    ]
+    scores, _ = compare_formulas(cells, [True] * len(cells))
     return float(any(s.p is not None and s.p <= LEVEL for s in scores if s.name in RIVALS))

@@ -15,8 +15,8 @@ from dslab.experiments.statistics.estimates import (
 )
 from dslab.experiments.statistics.from_records import HomogeneousCell
 from dslab.experiments.statistics.judged import ratio_of_shares
-from dslab.experiments.statistics.outcomes import Outcomes, world_means
-from dslab.experiments.statistics.world_intervals import Interval, difference_interval, share_interval_of
+from dslab.experiments.statistics.outcomes import Outcomes
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval, share_interval
 
 
 @dataclass(frozen=True)
@@ -79,26 +79,11 @@ class Rescuable:
     hopeless: int
 
 
-@dataclass(frozen=True)
-class _Cell:
-    """A cell's outcomes with n threads, in the worlds that have units."""
-
-    name: str
-    kind_of_world: str
-    outcomes: Outcomes
-    worlds: list[tuple[str, int]]
-
-    @property
-    def units(self) -> int:
-        return int(np.isfinite(self.outcomes.breakage).sum())
-
-
 def both_readings(cells: Sequence[HomogeneousCell], n: int) -> list[Readings]:
     """Compare D with both readings: over all cells, if there are several, then in each with enough worlds."""
-    each = [_with_units(cell, cell.outcomes.of_first(n)) for cell in cells]
-    each = [one for one in each if len(one.worlds) > 1 + n]
-    pooled = [_readings(each, n)] if len(each) > 1 else []
-    return [*pooled, *(_readings([one], n) for one in each)]
+    each = [(cell, o) for cell in cells if len((o := cell.usable(n)).breakage) > 1 + n]
+    pooled = [_readings([o for _, o in each])] if len(each) > 1 else []
+    return [*pooled, *(_readings([o], cell) for cell, o in each)]
 
 
 def rescuable_readings(cells: Sequence[HomogeneousCell], n: int) -> list[Rescuable]:
@@ -109,38 +94,23 @@ def rescuable_readings(cells: Sequence[HomogeneousCell], n: int) -> list[Rescuab
     """
     found = []
     for cell in (cell for cell in cells if cell.says("rescuable")):
-        outcomes, rescuable = cell.outcomes, cell.values("rescuable")
-        columns = (outcomes.breakage, outcomes.thread_failures[:n], outcomes.dual_failures[:n])
-        one = _with_units(cell, Outcomes(*(np.where(rescuable == 1, x, np.nan) for x in columns)))
-        failed = outcomes.dual_failures[n - 1] == 1
-        found.append(
-            Rescuable(
-                cell=cell.name,
-                world=cell.world,
-                n=n,
-                readings=_readings([one], n) if len(one.worlds) > 1 + n else None,
-                failures=int(failed.sum()),
-                hopeless=int((failed & (rescuable == 0)).sum()),
-            )
-        )
+        first, rescuable = cell.outcomes.first(n), cell.values("rescuable")
+        own = first.where(rescuable == 1).with_units()
+        failed = first.dual_failures[-1] == 1
+        readings = _readings([own], cell) if len(own.breakage) > 1 + n else None
+        hopeless = int((failed & (rescuable == 0)).sum())
+        found.append(Rescuable(cell.name, cell.world, n, readings, int(failed.sum()), hopeless))
     return found
 
 
-def _with_units(cell: HomogeneousCell, outcomes: Outcomes) -> _Cell:
-    kept = outcomes.has_units
-    seeds = [(cell.world, int(seed)) for seed in cell.worlds[kept]]
-    return _Cell(cell.name, cell.world, outcomes.of_worlds(kept), seeds)
-
-
-def _readings(cells: Sequence[_Cell], n: int) -> Readings:
-    worlds = [c.worlds for c in cells]
+def _readings(cells: Sequence[Outcomes], alone: HomogeneousCell | None = None) -> Readings:
+    """The readings over cells, or in the only one."""
+    worlds = [outcomes.worlds for outcomes in cells]
     measured, in_units, of_averages = (
-        over_cells([estimate(c.outcomes) for c in cells], worlds)
+        over_cells([estimate(outcomes) for outcomes in cells], worlds)
         for estimate in (dual_failure, measured_in_units, product_of_margins)
     )
-    of_sequences = [f for c in cells if (f := product_in_sequences(c.outcomes)) is not None]
-    alone = len(cells) == 1
-    margins = tuple(map(float, world_means(cells[0].outcomes.columns).mean(axis=1))) if alone else ()
+    of_sequences = [f for outcomes in cells if (f := product_in_sequences(outcomes)) is not None]
 
     def reading(predicted: Figure, shares: tuple[float, ...] = ()) -> Reading:
         return Reading(
@@ -151,13 +121,13 @@ def _readings(cells: Sequence[_Cell], n: int) -> Readings:
         )
 
     return Readings(
-        n=n,
-        cell=cells[0].name if alone else None,
-        world=cells[0].kind_of_world if alone else None,
-        units=sum(c.units for c in cells),
+        n=cells[0].threads,
+        cell=alone.name if alone else None,
+        world=alone.world if alone else None,
+        units=sum(int(np.isfinite(outcomes.breakage).sum()) for outcomes in cells),
         worlds=measured.worlds,
-        measured=share_interval_of(measured),
+        measured=share_interval(measured),
         in_units=in_units.value,
         of_sequences=reading(over_cells(of_sequences, worlds)) if len(of_sequences) == len(cells) else None,
-        of_averages=reading(of_averages, margins),
+        of_averages=reading(of_averages, cells[0].margins if alone else ()),
     )

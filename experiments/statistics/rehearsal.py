@@ -54,7 +54,6 @@ class RehearsedWords:
 
 def exchange_power(
     cells: Sequence[Outcomes],
-    kinds: Sequence[str],
     shared: float,
     rng: np.random.Generator,
     experiments: int = 400,
@@ -67,8 +66,7 @@ def exchange_power(
     share of them in which one uniform number decides B and the failure of every thread.
 
     Args:
-        cells: with the threads of the test; over the same worlds in each kind, NaN for runs left out.
-        kinds: of world, of each cell.
+        cells: with the threads of the test.
         shared: share of the runs with one draw.
         rng: of all draws.
         experiments, permutations: their numbers.
@@ -77,7 +75,7 @@ def exchange_power(
     tests = []
     for _ in range(experiments):
         drawn = [_with_shared_runs(cell, of, shared, rng) for cell, of in zip(cells, chances, strict=True)]
-        tests.append(within_sequences(drawn, rng, permutations, kinds))
+        tests.append(within_sequences(drawn, rng, permutations))
     power = float(np.mean([test.p is not None and test.p <= LEVEL for test in tests]))
     telling = float(np.mean([test.telling for test in tests]))
     return ExchangePower(shared, telling, power, sqrt(power * (1 - power) / experiments))
@@ -104,8 +102,7 @@ def rehearse_words(
     units, duals = ([Counter() for _ in tests] for _ in range(2))
     for _ in range(experiments):
         drawn = {id(cell): _independent(cell, margins[id(cell)], rng) for cell in cells}
-        each = [drawn[id(cell)].of_first(n) for cell, n in tests]
-        each = [outcomes.of_worlds(outcomes.has_units) for outcomes in each]
+        each = [drawn[id(cell)].of_first(n).with_units() for cell, n in tests]
         on_units = [compare_units(o, independence(o, rng, permutations)) for o in each]
         for counts, found in zip(
             (units, duals), verdicts(on_units, [compare_forecast(o) for o in each]), strict=True
@@ -183,5 +180,5 @@ def _independent(cell: Outcomes, margins: Sequence[Margin], rng: np.random.Gener
 def _outcomes(cell: Outcomes, crossing: np.ndarray, free: np.ndarray) -> Outcomes:
     """Outcomes of both arms, where the cell has a run that counts."""
     dual = crossing[0] & np.logical_and.accumulate(free[1:], axis=0)
-    counts = np.isfinite(cell.breakage)
-    return Outcomes(*(np.where(counts, x.astype(float), np.nan) for x in (crossing[0], crossing[1:], dual)))
+    drawn = Outcomes(*(x.astype(float) for x in (crossing[0], crossing[1:], dual)), cell.worlds)
+    return drawn.where(np.isfinite(cell.breakage))

@@ -5,13 +5,19 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy import stats
 
 from dslab.experiments.statistics.difficulties import Counts, Margin, common_correlation, fit_margin, predict
-from dslab.experiments.statistics.estimates import Figure, World, mean_over_cells, measured_in_units
-from dslab.experiments.statistics.formulas import beta_factor, eq1, fit_parameter, one_factor, weakest_link
+from dslab.experiments.statistics.estimates import Figure, mean_over_cells, measured_in_units
+from dslab.experiments.statistics.formulas import (
+    beta_factor,
+    eq1,
+    fit_factors,
+    fit_parameter,
+    one_factor,
+    weakest_link,
+)
 from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
-from dslab.experiments.statistics.world_intervals import Interval, difference_interval
+from dslab.experiments.statistics.world_intervals import Interval, difference_interval, student
 
 TRANSFERRED = ("Eq. 1", "weakest link", "beta factor", "one factor", "correlated difficulties")
 
@@ -22,13 +28,11 @@ class Condition:
 
     Attributes:
         outcomes: see there.
-        worlds: their kinds and seeds.
         group: that is left out as a whole when the cell is predicted.
         fitted: whether parameters may be fitted to it, for other groups.
     """
 
     outcomes: Outcomes
-    worlds: Sequence[World]
     group: str
     fitted: bool
 
@@ -77,7 +81,7 @@ def transfer(conditions: Sequence[Condition]) -> list[TransferScore]:
             name,
             tuple(p[i - 2] for p in parameters) if i > 1 else None,
             tuple(float(e[i]) for e in errors),
-            mean_over_cells([loss[i] for loss in losses], [c.worlds for c in conditions]),
+            mean_over_cells([loss[i] for loss in losses], [c.outcomes.worlds for c in conditions]),
         )
         for i, name in enumerate(TRANSFERRED)
     ]
@@ -98,7 +102,7 @@ def beta_of(outcomes: Outcomes) -> Interval | None:
 
     def agrees(beta: float) -> bool:
         off = measured - Figure(float(beta_factor(p, beta)), beta_factor(without, beta))
-        return abs(off.t) <= float(stats.t.ppf(0.975, worlds - 1))
+        return abs(off.t) <= student(worlds - 1)
 
     best = fit_parameter(beta_factor, p[None], np.array([measured.value]))
     held = [beta for beta in np.linspace(0, 1, 201) if agrees(beta)]
@@ -119,8 +123,7 @@ def _parameters(
     means = [world_means(c.outcomes.columns) for c, _ in others]
     p = np.stack([(m.sum(axis=1) + 0.5) / (m.shape[1] + 1) for m in means])
     measured = np.array([measured_in_units(c.outcomes).value for c, _ in others])
-    beta, r = (fit_parameter(formula, p, measured) for formula in (beta_factor, one_factor))
-    return beta, r, common_correlation([of for _, of in others])
+    return *fit_factors(p, measured), common_correlation([of for _, of in others])
 
 
 def _without_each_world(outcomes: Outcomes, beta: float, r: float, correlation: float) -> Floats:

@@ -16,7 +16,7 @@ from dslab.experiments.statistics import estimates
 from dslab.experiments.statistics.estimates import Figure
 from dslab.experiments.statistics.outcomes import Floats, Outcomes, world_means
 from dslab.experiments.statistics.permutations import PermutationTest
-from dslab.experiments.statistics.world_intervals import FEW, Rare, few_events, t_of_log_ratio
+from dslab.experiments.statistics.world_intervals import FEW, few_events, t_of_log_ratio
 
 LEVEL = 0.05
 _LEAST_WORLDS = 10  # with the event, to be tested
@@ -76,11 +76,11 @@ def compare_forecast(outcomes: Outcomes) -> Comparison:
     finding would rest on so few.
     """
     measured, product = estimates.dual_failure(outcomes), estimates.product_of_margins(outcomes)
-    shares = tuple(float(p) for p in world_means(outcomes.columns).mean(axis=1))
-    by_eq1, worlds = prod(shares), measured.worlds
+    shares, worlds = outcomes.margins, measured.worlds
+    by_eq1 = prod(shares)
     few = few_events(measured.pseudo_values, shares) or worlds * (min(shares) - by_eq1) < FEW
     known = not few_events(measured.pseudo_values) or worlds * by_eq1 >= FEW
-    t = t_of_log_ratio(measured, product, Rare(shares) if few else None) if known else None
+    t = t_of_log_ratio(measured, product, shares if few else None) if known else None
     return _compare(outcomes, measured, None if t is None else float(2 * stats.t.sf(abs(t), product.freedom)))
 
 
@@ -98,7 +98,7 @@ def _p_of_side(measured: Figure, bound: Figure, k: float) -> float:
     The t-test of the difference itself says so with 5 to 9 % at the bound where few worlds have the event.
     """
     few = few_events(measured.pseudo_values) or measured.worlds * bound.value < FEW
-    t = t_of_log_ratio(measured, bound, Rare() if few else None)
+    t = t_of_log_ratio(measured, bound, () if few else None)
     if t is None:
         return 0.0 if k < 0 else 1.0  # no share is below nothing
     return float(stats.t.sf(t if k < 0 else -t, measured.freedom))

@@ -32,60 +32,44 @@ class Interval:
             raise ValueError(f"{self.value} is not in [{self.low}, {self.high}]")
 
 
-@dataclass(frozen=True)
-class Rare:
-    """What is known of the variance of a ratio whose numerator is rare.
-
-    Attributes:
-        shares: (n + 1,) p0 and pr of the threads, where the denominator is their product; empty otherwise.
-    """
-
-    shares: tuple[float, ...] = ()
-
-
-def share_interval(by_world: Floats, level: float = 0.95) -> Interval:
-    """Interval of a share from the (W,) mean of each world; see :func:`share_interval_of`."""
-    return share_interval_of(Figure.mean(by_world), level)
-
-
-def share_interval_of(share: Figure, level: float = 0.95) -> Interval:
+def share_interval(share: Figure | Floats) -> Interval:
     """Wilson's interval of a share, with as many trials as its spread over the worlds is worth.
 
     Args:
-        share: over at least two worlds; with one it is [0, 1].
-        level: its coverage.
+        share: itself, or the (W,) mean of each world, of at least two; with one the interval is [0, 1].
     """
+    share = share if isinstance(share, Figure) else Figure.mean(share)
     worlds, p = share.worlds, share.value
     if worlds < 2:
         return Interval(p, 0.0, 1.0)
     trials = p * (1 - p) / share.error**2 if share.error else float(worlds)
-    return wilson_interval(p, trials, worlds, level)
+    return wilson_interval(p, trials, worlds)
 
 
-def wilson_interval(p: float, trials: float, worlds: int, level: float = 0.95) -> Interval:
+def wilson_interval(p: float, trials: float, worlds: int) -> Interval:
     """Wilson's interval of a share of so many trials, with Student's t of the worlds, 2 or more."""
-    z2 = float(stats.t.ppf(0.5 + level / 2, worlds - 1)) ** 2
+    z2 = student(worlds - 1) ** 2
     middle = (p + z2 / (2 * trials)) / (1 + z2 / trials)
     half = sqrt(z2 * (p * (1 - p) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
     return Interval(p, max(0.0, min(middle - half, p)), min(1.0, max(middle + half, p)))
 
 
-def difference_interval(figure: Figure, level: float = 0.95) -> Interval:
+def difference_interval(figure: Figure) -> Interval:
     """Interval of a difference or sum of figures over the same worlds, by its pseudo-values."""
-    half = _t(figure, level) * figure.error
+    half = student(figure.freedom) * figure.error
     return Interval(figure.value, figure.value - half, figure.value + half)
 
 
 def ratio_interval(
-    numerator: Figure, denominator: Figure, rare: Rare | None = None, level: float = 0.95
+    numerator: Figure, denominator: Figure, rare: tuple[float, ...] | None = None
 ) -> Interval | None:
     """Ratios that the pseudo-values of both figures do not contradict.
 
     Args:
         numerator, denominator: over the same worlds.
         rare: given where too few worlds have the numerator's event for their spread to be known: the variance
-            is then at least that of counts.
-        level: its coverage.
+            is then at least that of counts. It is p0 and pr of the threads, where the denominator is their
+            product; empty otherwise.
 
     Returns:
         The interval around the ratio; None if the denominator is 0.
@@ -96,18 +80,20 @@ def ratio_interval(
         return None
     a, c = numerator.value, denominator.value
     cov = np.cov(numerator.pseudo_values, denominator.pseudo_values)
-    factor = _t(numerator, level) ** 2 / numerator.worlds
+    factor = student(numerator.freedom) ** 2 / numerator.worlds
     # (a - rho c)^2 <= factor * variance(rho), as coefficients of rho^2, rho and 1.
     spread = (c**2 - factor * cov[1, 1], -2 * (a * c - factor * cov[0, 1]), a**2 - factor * cov[0, 0])
     bounds = [_around(a / c, *spread)]
     if rare is not None:
-        product = float(np.prod(rare.shares)) if rare.shares else c
-        squared = product**2 * (1 + sum(1 / p - 1 for p in rare.shares))
+        product = float(np.prod(rare)) if rare else c
+        squared = product**2 * (1 + sum(1 / p - 1 for p in rare))
         bounds.append(_around(a / c, c**2 + factor * squared, -2 * a * c - factor * product, a**2))
     return Interval(a / c, min(low for low, _ in bounds), max(high for _, high in bounds))
 
 
-def t_of_log_ratio(numerator: Figure, denominator: Figure, rare: Rare | None = None) -> float | None:
+def t_of_log_ratio(
+    numerator: Figure, denominator: Figure, rare: tuple[float, ...] | None = None
+) -> float | None:
     """Student's t of log A - log C, by the pseudo-values of both: 0 where the ratio A / C is 1.
 
     A numerator below half a world counts as that, since 0 has no logarithm. With ``rare`` the variance per
@@ -117,12 +103,8 @@ def t_of_log_ratio(numerator: Figure, denominator: Figure, rare: Rare | None = N
     that is found; there it is taken half way on the log scale, at A = sqrt(A C). With A = C instead 16 worlds
     with .4 expected would have a p of .02, with the A found 5 with 1.3 expected one of .003 instead of .01.
 
-    Args:
-        numerator, denominator: over the same worlds.
-        rare: given where the spread over the worlds is not known.
-
-    Returns:
-        None if the denominator, also without one of the worlds, is not above 0.
+    The arguments are those of :func:`ratio_interval`. None if the denominator is not above 0, also without
+    one of the worlds.
     """
     if min(denominator.value, float(denominator.without.min())) <= 0:
         return None
@@ -131,7 +113,7 @@ def t_of_log_ratio(numerator: Figure, denominator: Figure, rare: Rare | None = N
     error = ratio.error
     if rare is not None:
         a = max(numerator.value, least)
-        spread = 1 / min(a, sqrt(a * denominator.value)) - 1 - sum(1 / p - 1 for p in rare.shares)
+        spread = 1 / min(a, sqrt(a * denominator.value)) - 1 - sum(1 / p - 1 for p in rare)
         error = max(error, sqrt(max(spread, 0.0) / ratio.worlds))
     return ratio.value / error if error else ratio.t
 
@@ -143,8 +125,9 @@ def few_events(by_world: Floats, shares: tuple[float, ...] = ()) -> bool:
     return int((by_world > nothing).sum()) < FEW or any(worlds * p < FEW for p in expected)
 
 
-def _t(figure: Figure, level: float) -> float:
-    return float(stats.t.ppf(0.5 + level / 2, figure.freedom))
+def student(freedom: float) -> float:
+    """Student's t of an interval of 95 %."""
+    return float(stats.t.ppf(0.975, freedom))
 
 
 def _around(rho: float, square: float, linear: float, constant: float) -> tuple[float, float]:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from dslab.experiments.statistics.boundary import MOST_AT_ONCE, SHAM, CurveGrid, curve_grid, quantile
-from dslab.experiments.statistics.boundary_proofs import STRENGTHS, Planted, answer, search
+from dslab.experiments.statistics.boundary import MOST_AT_ONCE, SHAM, CurveGrid, Curves, curve_grid, quantile
+from dslab.experiments.statistics.boundary_proofs import STRENGTHS, answer, search
 
 GRID = curve_grid(STRENGTHS)
 TRIALS = [SHAM, SHAM, 9, 9, 14, 5, 11, 12, 19], [False, True, False, True, True, False, False, True, True]
@@ -94,12 +94,12 @@ def test_a_failure_without_stress_that_is_as_frequent_leaves_no_dose():
 
 
 def test_a_ceiling_below_the_level_is_told_from_a_boundary_that_was_not_found():
-    found = answer(Planted(1.5, 3.0, 0.5), 0.7, np.random.default_rng(0))
+    found = answer(Curves(1.5, 3.0, 0.5), 0.7, np.random.default_rng(0))
     assert found.unreachable > 0.5 and found.median == inf and found.high == inf
 
 
 def test_chosen_doses_tell_more_of_the_boundary_than_evenly_spread_ones():
-    planted = Planted(2.6, 8.0)
+    planted = Curves(2.6, 8.0)
     chosen, spread = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -107,7 +107,7 @@ def test_chosen_doses_tell_more_of_the_boundary_than_evenly_spread_ones():
         chosen.append(found.high - found.low)
         places = [SHAM] * 8 + [i % len(STRENGTHS) for i in range(52)]
         failed = [
-            bool(rng.random() < planted.failure(-inf if place == SHAM else STRENGTHS[place]))
+            bool(rng.random() < planted.failure(-inf if place == SHAM else STRENGTHS[place])[0])
             for place in places
         ]
         even = GRID.boundary(GRID.posterior(places, failed), 0.5)

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dslab.experiments.statistics.conditional import conditional_odds_ratio, event_pairs
+from dslab.experiments.statistics.conditional import conditional_odds_ratio, event_pairs, repeats
 from dslab.experiments.statistics.difficulties import Margin, draw
-from dslab.experiments.statistics.repeats import repeats
+from dslab.experiments.statistics.outcomes import Outcomes
 
 HALF = Margin(0.5, 0.5)
 
@@ -17,8 +17,9 @@ def cell(columns, world="corridor"):
     """A cell with these outcomes (events, W, S, K)."""
     return SimpleNamespace(
         name="blur/1",
-        outcomes=SimpleNamespace(columns=columns, breakage=columns[0], thread_failures=columns[1:]),
-        worlds=np.arange(columns.shape[1]),
+        outcomes=Outcomes(
+            columns[0], columns[1:], columns[1:], [(world, i) for i in range(columns.shape[1])]
+        ),
         world=world,
         threads=len(columns) - 1,
         shape=columns.shape[1:],

@@ -16,11 +16,13 @@ HALF = Margin(0.5, 0.5)
 
 def cell(columns, rescuable=None, name="blur/1", world="corridor"):
     """A cell with outcomes (1 + n, W, S, K), D being Q, and with (W, S, K) units rescuable or not."""
+    worlds = [(world, i) for i in range(columns.shape[1])]
+    outcomes = Outcomes(columns[0], columns[1:], np.cumprod(columns, axis=0)[1:], worlds)
     return SimpleNamespace(
         name=name,
         world=world,
-        worlds=np.arange(columns.shape[1]),
-        outcomes=Outcomes(columns[0], columns[1:], np.cumprod(columns, axis=0)[1:]),
+        outcomes=outcomes,
+        usable=lambda n: outcomes.of_first(n).with_units(),
         says=lambda column: rescuable is not None and column == "rescuable",
         values=lambda column: rescuable.astype(float),
     )

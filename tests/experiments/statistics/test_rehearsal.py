@@ -22,7 +22,7 @@ def cells(difficulty, worlds=100, number=3, shares=(0.5, 0.5)):
 def test_the_power_within_sequences_grows_with_the_shared_runs_and_is_the_level_without():
     own = cells(0.7)
     rng = np.random.default_rng(1)
-    none, half, most = (exchange_power(own, ["room"] * 3, s, rng, 60, 99) for s in (0.0, 0.4, 0.9))
+    none, half, most = (exchange_power(own, s, rng, 60, 99) for s in (0.0, 0.4, 0.9))
     assert none.power < 0.15 and most.power > 0.9 and none.power < half.power < most.power
     assert none.error == pytest.approx(np.sqrt(none.power * (1 - none.power) / 60))
 
@@ -30,7 +30,7 @@ def test_the_power_within_sequences_grows_with_the_shared_runs_and_is_the_level_
 def test_the_chances_are_those_of_the_sequences():
     """As many sequences vary as in the run; where its sequences are all alike, nearly all do."""
     rng = np.random.default_rng(2)
-    hard, alike = (exchange_power(cells(r), ["room"] * 3, 0.0, rng, 20, 19).telling for r in (0.97, 0.01))
+    hard, alike = (exchange_power(cells(r), 0.0, rng, 20, 19).telling for r in (0.97, 0.01))
     varies = [(c.columns.min(axis=-1) < c.columns.max(axis=-1)).all(axis=0).sum() for c in cells(0.97)]
     assert hard == pytest.approx(sum(varies), abs=10) and alike > 5 * hard
 
@@ -50,7 +50,7 @@ def test_runs_that_are_left_out_stay_out():
     (own,) = cells(0.7, 60, 1)
     columns = own.columns.copy()
     columns[:, :30] = np.nan
-    found = exchange_power([outcomes(columns)], ["room"], 0.0, np.random.default_rng(4), 5, 19)
+    found = exchange_power([outcomes(columns)], 0.0, np.random.default_rng(4), 5, 19)
     assert found.telling < 20
     (words,) = rehearse_words([(outcomes(columns[:, :39]), 1)], np.random.default_rng(5), 3, 19)
     assert words.on_units == {"untested": 1.0}, "nine worlds are left"
@@ -61,5 +61,5 @@ def test_a_sequence_keeps_what_its_own_runs_tell():
     rng = np.random.default_rng(6)
     columns = (rng.random((2, 120, 1, 3)) < 0.5 * (np.arange(120) < 60)[:, None, None]).astype(float)
     swapped = np.stack([columns[0], columns[1, ::-1]])
-    own, others = (exchange_power([outcomes(x)], ["room"], 0.0, rng, 20, 19) for x in (columns, swapped))
+    own, others = (exchange_power([outcomes(x)], 0.0, rng, 20, 19) for x in (columns, swapped))
     assert own.telling > 1.4 * others.telling

@@ -1,5 +1,6 @@
 """Estimates, intervals, tests and verdicts with worlds as the sample."""
 
+from dataclasses import replace
 from itertools import permutations, product
 from math import inf
 
@@ -24,7 +25,6 @@ from dslab.experiments.statistics.verdicts import (
     verdicts,
 )
 from dslab.experiments.statistics.world_intervals import (
-    Rare,
     few_events,
     ratio_interval,
     share_interval,
@@ -35,6 +35,10 @@ from dslab.experiments.statistics.world_intervals import (
 @pytest.fixture
 def rng():
     return np.random.default_rng(3)
+
+
+def of_kind(kind, outcomes, first=0):
+    return replace(outcomes, worlds=[(kind, first + seed) for _, seed in outcomes.worlds])
 
 
 def over_choices(x):
@@ -75,12 +79,15 @@ def test_products_are_unbiased_although_the_factors_depend_on_each_other(rng):
 def test_the_chain_multiplies_to_what_is_measured_over_eq1(rng):
     outcomes = simulate(Truth((0.5, 0.6, 0.5), 0.5, 0.3, arms=0.8), rng, worlds=40, sequences=3, replicates=4)
     steps = estimates.chain(outcomes)
-    ratio = np.prod([a.value / c.value for a, c in (steps.arms, steps.run, steps.path, steps.world)])
-    assert steps.sequence is None and ratio == pytest.approx(steps.whole[0].value / steps.whole[1].value)
+    ratio = {name: a.value / c.value for name, (a, c) in steps.items()}
+    whole = ratio.pop("whole")
+    assert set(ratio) == {"arms", "run", "path", "world"} and np.prod([*ratio.values()]) == pytest.approx(
+        whole
+    )
     one = estimates.chain(simulate(Truth((0.5, 0.6)), rng, worlds=40, sequences=1, replicates=2))
-    assert one.path is None and one.world is None and one.sequence is not None
+    assert set(one) == {"sequence", "run", "arms", "whole"}
     alone = estimates.chain(simulate(Truth((0.5, 0.6)), rng, worlds=40))
-    assert alone.run is None and alone.sequence is None
+    assert set(alone) == {"arms", "whole"}
 
 
 def test_worlds_weigh_alike_and_void_replicates_nothing():
@@ -99,8 +106,8 @@ def test_a_sequence_without_enough_replicates_leaves_at_that_number_of_threads(r
     outcomes = simulate(Truth((0.5, 0.5, 0.5)), rng, worlds=3, sequences=1, replicates=3)
     for x in (outcomes.breakage, *outcomes.thread_failures, *outcomes.dual_failures):
         x[0, 0, 0] = np.nan
-    assert outcomes.of_first(1).has_units.all()
-    assert outcomes.of_first(2).has_units.tolist() == [False, True, True]
+    assert outcomes.of_first(1).with_units().worlds == outcomes.worlds
+    assert outcomes.of_first(2).with_units().worlds == outcomes.worlds[1:]
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.3, 0.9])
@@ -144,7 +151,7 @@ def test_a_ratio_of_rare_events_is_as_wide_as_that_of_counts():
     assert few_events(np.zeros(100)) and few_events(np.ones(100), (0.1, 0.2))
     assert not few_events(np.ones(100), (0.5, 0.5))
     assert ratio_interval(nothing, product).high == 0
-    found = ratio_interval(nothing, product, Rare((0.1, 0.2)))
+    found = ratio_interval(nothing, product, (0.1, 0.2))
     # By hand: (rho c)^2 = t^2 / W (rho pi - rho^2 pi^2 (1 + sum(1 / p - 1))).
     factor = stats.t.ppf(0.975, 99) ** 2 / 100
     assert found.low == 0 and found.high == pytest.approx(factor * 0.02 / (0.02**2 * (1 + factor * 14)))
@@ -218,7 +225,7 @@ def test_only_sequences_that_enter_are_telling(rng):
     other = Outcomes(*(np.where(first == 1, np.nan, x) for x in (first, first[None], first[None])))
     assert within_sequences([alone, other], rng, 19).telling == 0
     # In another kind of world it is another sequence, and where a cell has no sequence it takes none away.
-    assert within_sequences([alone, other], rng, 19, ["corridor", "room"]).telling == 30
+    assert within_sequences([of_kind("corridor", alone), other], rng, 19).telling == 30
     lacking = Outcomes(first + np.nan, first[None] + np.nan, first[None] + np.nan)
     assert within_sequences([alone, lacking], rng, 19).telling == 30
 
@@ -226,7 +233,7 @@ def test_only_sequences_that_enter_are_telling(rng):
 def test_replicates_move_alike_in_all_cells_of_a_kind_of_world_and_apart_in_others(rng):
     cell = simulate(Truth((0.5, 0.5), common=0.1), rng, worlds=40, replicates=3)
     one, alike, apart = (
-        within_sequences([cell] * len(kinds), np.random.default_rng(1), 499, kinds)
+        within_sequences([of_kind(kind, cell) for kind in kinds], np.random.default_rng(1), 499)
         for kinds in (["room"], ["room", "room"], ["room", "corridor"])
     )
     assert alike.p == one.p and alike.statistic == apart.statistic == pytest.approx(2 * one.statistic)
@@ -265,7 +272,7 @@ def test_a_log_ratio_has_the_variance_of_counts_where_events_are_rare():
     ):
         failed = Figure.mean((np.arange(worlds) < count).astype(float))
         expected = np.log(max(count, 0.5) / 2) / np.sqrt(variance / worlds)
-        assert t_of_log_ratio(failed, product, Rare(shares)) == pytest.approx(expected)
+        assert t_of_log_ratio(failed, product, shares) == pytest.approx(expected)
     many = Figure.mean((np.arange(worlds) < 50).astype(float))
     assert t_of_log_ratio(many, Figure(0.25, np.full(worlds, 0.25))) == pytest.approx(
         np.log(2) / (0.5 / 0.5 / 10), rel=0.02
@@ -338,14 +345,14 @@ def test_formulas_reach_from_eq1_to_the_weakest_link():
 def test_the_formula_that_made_the_outcomes_predicts_unseen_worlds_best(rng):
     truths = [Truth((a, b), common=0.7) for a, b in product((0.3, 0.6), repeat=2)]
     cells = [simulate(truth, rng, worlds=150) for truth in truths]
-    scores = {s.name: s for s in compare_formulas(cells, [True] * 4)}
+    scores = {s.name: s for s in compare_formulas(cells, [True] * 4)[0]}
     assert scores["beta factor"].gain.low > 0 and scores["beta factor"].p < 0.01
     assert scores["beta factor"].score < scores["weakest link"].score
     assert np.abs(scores["beta factor"].calibration).max() < 0.1
     assert scores["Eq. 1"].gain is None and scores["ceiling"].p is None
     assert 0.5 < scores["beta factor"].parameter < 0.9 and scores["weakest link"].parameter is None
     independent = [simulate(Truth(truth.shares), rng, worlds=150) for truth in truths]
-    again = {s.name: s for s in compare_formulas(independent, [True] * 4)}
+    again = {s.name: s for s in compare_formulas(independent, [True] * 4)[0]}
     assert min(again[name].p for name in ("weakest link", "beta factor", "one factor")) > 0.05
     assert again["Eq. 1"].score < again["weakest link"].score
     assert again["beta factor"].parameter < 0.15 and again["one factor"].parameter < 0.15
@@ -355,7 +362,7 @@ def test_a_formula_that_is_eq1_by_its_fit_gains_nothing_over_it():
     """B and R_1 seldom fail together, so that no common cause is fitted; rounding is no gain."""
     broke = (np.arange(60) % 10 < 4).astype(float).reshape(60, 1, 1)
     failed = (np.arange(60) % 10 > 2).astype(float).reshape(1, 60, 1, 1)
-    scores = {s.name: s for s in compare_formulas([Outcomes(broke, failed, broke * failed)], [True])}
+    scores = {s.name: s for s in compare_formulas([Outcomes(broke, failed, broke * failed)], [True])[0]}
     for name in ("beta factor", "one factor"):
         assert (scores[name].gain.low, scores[name].gain.high, scores[name].p) == (0, 0, 1)
 
@@ -378,11 +385,8 @@ def test_a_world_is_left_out_of_its_own_kind_alone(rng):
     cells = [simulate(Truth((0.4, 0.5), 0.5, common=0.5), rng, worlds, replicates=2) for worlds in (20, 30)]
 
     def scores(*firsts):
-        worlds = [
-            [(kind, seed + i) for i in range(len(cell.breakage))]
-            for (kind, seed), cell in zip(firsts, cells, strict=True)
-        ]
-        return [s.score for s in compare_formulas(cells, [True, True], worlds=worlds)]
+        named = [of_kind(kind, cell, seed) for (kind, seed), cell in zip(firsts, cells, strict=True)]
+        return [s.score for s in compare_formulas(named, [True, True])[0]]
 
     apart = scores(("corridor", 0), ("room", 0))
     assert apart == scores(("corridor", 0), ("room", 99)) != scores(("room", 0), ("room", 0))
@@ -393,6 +397,6 @@ def test_a_formula_is_scored_on_worlds_that_it_has_not_seen(rng):
     x = np.zeros((20, 1, 1))
     x[0] = 1
     cell = Outcomes(x, x[None], x[None])
-    ceiling = compare_formulas([cell], [True])[-1]
+    ceiling = compare_formulas([cell], [True])[0][-1]
     seen = np.array([0.5 / 20] + [1.5 / 20] * 19)
     assert ceiling.score == pytest.approx(-(np.log(seen[0]) + np.log(1 - seen[1:]).sum()) / 20)

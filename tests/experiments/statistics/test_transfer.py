@@ -25,7 +25,6 @@ def conditions():
     return [
         Condition(
             outcomes(draw((Margin(p0, r), Margin(pr, r)), CORRELATION, rng, (150, 1, 3))),
-            [("corridor", i) for i in range(150)],
             group=f"kind {i // 2}",
             fitted=True,
         )
