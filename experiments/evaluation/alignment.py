@@ -41,13 +41,12 @@ class Similarity:
 IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
-def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> Similarity | Undefined:
-    """Least-squares alignment of positions, by which ATE is defined.
+def umeyama(p_map: np.ndarray, p_world: np.ndarray) -> Similarity | Undefined:
+    """Least-squares Sim(3) alignment of positions, by which ATE is defined.
 
     Args:
         p_map: (n, 3) float64 estimated positions.
         p_world: (n, 3) float64 true positions, metres.
-        with_scale: Sim(3), as usual for one camera; else SE(3).
 
     Returns:
         The alignment; Undefined for fewer than 3 positions and if one of the paths does not move. A path on a
@@ -69,7 +68,7 @@ def umeyama(p_map: np.ndarray, p_world: np.ndarray, with_scale: bool = True) -> 
     if np.linalg.det(u) * np.linalg.det(vt) < 0:
         sign[2] = -1
     R = (u * sign) @ vt
-    scale = float((d * sign).sum() / (centred_map**2).sum(axis=1).mean()) if with_scale else 1.0
+    scale = float((d * sign).sum() / (centred_map**2).sum(axis=1).mean())
     return Similarity(scale, R, mean_world - scale * R @ mean_map)
 
 

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from dslab.experiments.evaluation.metrics import PosePairs, associate, path_length_m, walked_m
-from dslab.experiments.evaluation.pose_errors import PoseBounds, pose_errors
+from dslab.experiments.evaluation.metrics import PoseBounds, PosePairs, Truth, path_length_m, pose_errors
 from dslab.slam.core.results import MapTrajectory
 
 
@@ -32,6 +31,7 @@ class AuditBounds(PoseBounds):
     min_path_m: float = 0.2
 
 
+BOUNDS = AuditBounds()
 RELATION_BOUNDS = AuditBounds(min_poses=5)
 """For the relation that a recovery finds; it starts when the new map has this number of keyframes."""
 
@@ -77,12 +77,7 @@ class FusionAudit:
 
 
 def audit_loss(
-    live: MapTrajectory,
-    stamps_s: np.ndarray,
-    T_world_cam: np.ndarray,
-    onset_frame: int,
-    end_frame: int,
-    bounds: AuditBounds | None = None,
+    live: MapTrajectory, truth: Truth, onset_frame: int, end_frame: int, bounds: AuditBounds = BOUNDS
 ) -> LossAudit | Undefined:
     """Find the true loss in the frames ``onset_frame .. end_frame``.
 
@@ -91,8 +86,7 @@ def audit_loss(
 
     Args:
         live: the poses of the map as returned at each frame.
-        stamps_s: (N,) float64 times of all frames.
-        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
+        truth: of the sequence.
         onset_frame: first frame that may be lost.
         end_frame: last frame of the window (inclusive): the declaration if there is one.
         bounds: bounds of a correct pose.
@@ -100,19 +94,17 @@ def audit_loss(
     Returns:
         The finding; Undefined if the poses before the onset determine no alignment.
     """
-    bounds = bounds or AuditBounds()
-    pairs = associate(live, stamps_s, T_world_cam)
-    start_frame = int(np.searchsorted(stamps_s, stamps_s[onset_frame] - bounds.reference_s))
+    pairs = truth.pairs(live)
+    start_frame = int(np.searchsorted(truth.stamps_s, truth.stamps_s[onset_frame] - bounds.reference_s))
     reference = pairs.where((pairs.frames >= start_frame) & (pairs.frames < onset_frame))
     alignment = _reference_alignment(reference, bounds)
     if isinstance(alignment, Undefined):
         return alignment
     window = pairs.where((pairs.frames >= onset_frame) & (pairs.frames <= end_frame))
-    along_m = walked_m(T_world_cam)
+    along_m = truth.walked_m()
     errors = pose_errors(window, alignment, along_m[window.frames] - along_m[start_frame], bounds)
     # Frames without truth are passed over.
-    known = np.isfinite(T_world_cam[onset_frame : end_frame + 1]).all(axis=(1, 2))
-    frames = onset_frame + np.flatnonzero(known)
+    frames = onset_frame + np.flatnonzero(truth.known[onset_frame : end_frame + 1])
     return LossAudit(
         lost_from(frames, ~np.isin(frames, window.frames[~errors.false])),
         float(errors.position_m[-1]) if len(window) else None,
@@ -126,48 +118,6 @@ def lost_from(frames: np.ndarray, wrong: np.ndarray) -> int | None:
     right = np.flatnonzero(~wrong)
     lost = frames[right[-1] + 1 :] if len(right) else frames
     return int(lost[0]) if len(lost) else None
-
-
-def audit_fusion(
-    fused: MapTrajectory,
-    stamps_s: np.ndarray,
-    T_world_cam: np.ndarray,
-    breakage_frame: int,
-    from_frame: int = 0,
-    until_frame: int | None = None,
-    bounds: AuditBounds | None = None,
-) -> FusionAudit:
-    """Compare the two sides of a breakage in the finished map.
-
-    Args:
-        fused: final poses of the fused map.
-        stamps_s: (N,) float64 times of all frames.
-        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
-        breakage_frame: the declared breakage; later frames are the part after it.
-        from_frame: first frame of the part before it.
-        until_frame: first frame that no longer belongs to the part after it.
-        bounds: bounds of a correct fusion.
-    """
-    bounds = bounds or AuditBounds()
-    pairs = associate(fused, stamps_s, T_world_cam)
-    before = pairs.where((pairs.frames >= from_frame) & (pairs.frames < breakage_frame))
-    end = len(stamps_s) if until_frame is None else until_frame
-    after = pairs.where((pairs.frames > breakage_frame) & (pairs.frames < end))
-    reasons = []
-    scale_error = _scale_error(before, after, bounds)
-    if isinstance(scale_error, Undefined):
-        reasons.append(f"scale: {scale_error.reason}")
-        scale_error = None
-    error_m = rotation_deg = bound_m = None
-    verdicts = [] if scale_error is None else [abs(scale_error) > bounds.scale_share]
-    seam = _seam(before, after, stamps_s, T_world_cam, bounds)
-    if isinstance(seam, Undefined):
-        reasons.append(f"seam: {seam.reason}")
-    else:
-        error_m, rotation_deg, bound_m = seam
-        verdicts.append(error_m > bound_m or rotation_deg > bounds.rotation_deg)
-    false = any(verdicts) if verdicts else None
-    return FusionAudit(scale_error, error_m, rotation_deg, bound_m, false, "; ".join(reasons))
 
 
 def audit_relation(
@@ -188,14 +138,24 @@ def audit_relation(
         onset_frame: end of the trusted part of the old map.
         bounds: bounds of a correct relation.
     """
-    before, after = old.frames < onset_frame, placed.frames > onset_frame
-    both = MapTrajectory(
-        old.map_id,
-        np.concatenate([old.frames[before], placed.frames[after]]),
-        np.concatenate([old.stamps_s[before], placed.stamps_s[after]]),
-        np.concatenate([old.T_map_cam[before], placed.T_map_cam[after]]),
-    )
-    return audit_fusion(both, stamps_s, T_world_cam, onset_frame, bounds=bounds)
+    truth = Truth(stamps_s, T_world_cam)
+    before = truth.pairs(old.where(old.frames < onset_frame))
+    after = truth.pairs(placed.where(placed.frames > onset_frame))
+    scale_error, seam = _scale_error(before, after, bounds), _seam(before, after, truth, bounds)
+    verdicts, reasons = [], []
+    if isinstance(scale_error, Undefined):
+        reasons.append(f"scale: {scale_error.reason}")
+        scale_error = None
+    else:
+        verdicts.append(abs(scale_error) > bounds.scale_share)
+    error_m = bound_m = rotation_deg = None
+    if isinstance(seam, Undefined):
+        reasons.append(f"seam: {seam.reason}")
+    else:
+        error_m, bound_m, rotation_deg = seam
+        verdicts.append(error_m > bound_m or rotation_deg > bounds.rotation_deg)
+    false = any(verdicts) if verdicts else None
+    return FusionAudit(scale_error, error_m, rotation_deg, bound_m, false, "; ".join(reasons))
 
 
 def _reference_alignment(reference: PosePairs, bounds: AuditBounds) -> Similarity | Undefined:
@@ -223,15 +183,12 @@ def _scale_error(before: PosePairs, after: PosePairs, bounds: AuditBounds) -> fl
 
 
 def _seam(
-    before: PosePairs,
-    after: PosePairs,
-    stamps_s: np.ndarray,
-    T_world_cam: np.ndarray,
-    bounds: AuditBounds,
+    before: PosePairs, after: PosePairs, truth: Truth, bounds: AuditBounds
 ) -> tuple[float, float, float] | Undefined:
-    """(position error, rotation error, position bound) just after the breakage."""
+    """Position error, its bound and rotation error just after the breakage, medians."""
     if not len(before):
         return Undefined("no pose before the breakage")
+    stamps_s = truth.stamps_s
     reference_end = stamps_s[before.frames[-1]]
     reference = before.where(stamps_s[before.frames] >= reference_end - bounds.reference_s)
     alignment = _reference_alignment(reference, bounds)
@@ -240,7 +197,5 @@ def _seam(
     if not len(after):
         return Undefined("no pose after the breakage")
     first = after.where(stamps_s[after.frames] <= stamps_s[after.frames[0]] + bounds.seam_s)
-    walked = path_length_m(T_world_cam[reference.frames[0] : first.frames[-1] + 1])
-    errors = pose_errors(first, alignment, walked, bounds)
-    bound_m = float(bounds.position_m(walked))
-    return float(np.median(errors.position_m)), float(np.median(errors.rotation_deg)), bound_m
+    walked = path_length_m(truth.T_world_cam[reference.frames[0] : first.frames[-1] + 1])
+    return pose_errors(first, alignment, walked, bounds).medians

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from dslab.experiments.evaluation.alignment import Undefined
-from dslab.experiments.evaluation.audit import AuditBounds, LossAudit, audit_loss
+from dslab.experiments.evaluation.audit import BOUNDS, AuditBounds, LossAudit, audit_loss
 from dslab.experiments.evaluation.breakages import (
     EXPOSURE_GRACE_S,
     BreakageOutcome,
@@ -13,7 +13,8 @@ from dslab.experiments.evaluation.breakages import (
     segment_of_frame,
 )
 from dslab.experiments.evaluation.declared_audit import audit_declared
-from dslab.experiments.evaluation.relation_audit import RelationBounds
+from dslab.experiments.evaluation.metrics import Truth
+from dslab.experiments.evaluation.relation_audit import RELATION_BOUNDS
 from dslab.experiments.evaluation.whole_run_audit import LiveAudit, WrongStretch, audit_live, audit_maps
 from dslab.experiments.runs.execution import RunRecord
 
@@ -56,57 +57,45 @@ def loss_findings(
         live: judgement of its live poses.
         bounds: of right poses.
     """
-    stamps_s = record.sequence.stamps_s
+    stamps_s, segments = record.sequence.stamps_s, record.sequence.segments
     findings, seen = [], set()
-    for index, segment in enumerate(record.sequence.segments):
+    for index, segment in enumerate(segments):
         if segment.first_frame < 0:
             continue
-        declared = next((o.breakage for o in outcomes if index in o.segments), None)
+        declared = next((o.breakage.frame for o in outcomes if index in o.segments), None)
         last = np.searchsorted(stamps_s, stamps_s[segment.last_frame] + EXPOSURE_GRACE_S, side="right") - 1
-        if declared is not None:
-            seen.add(declared.frame)
-        end = int(last) if declared is None else declared.frame
-        findings.append(
-            _finding(record, bounds, index, segment.first_frame, end, declared.frame if declared else None)
-        )
+        end = int(last) if declared is None else declared
+        findings.append(_finding(record, bounds, index, segment.first_frame, end, declared))
+        seen.add(declared)
     late = {s.declared_frame: s for s in live.wrong if s.declared_frame is not None}
     for outcome in outcomes:
         frame = outcome.breakage.frame
-        if frame in seen:
-            continue
-        if frame in late:
+        if frame in late and frame not in seen:
             findings.append(_stretch(late[frame], outcome.segment, stamps_s))
-            continue
-        onset = int(np.searchsorted(stamps_s, stamps_s[frame] - _LOOKBACK_S))
-        findings.append(_finding(record, bounds, outcome.segment, onset, frame, frame))
+        elif frame not in seen:
+            onset = int(np.searchsorted(stamps_s, stamps_s[frame] - _LOOKBACK_S))
+            findings.append(_finding(record, bounds, outcome.segment, onset, frame, frame))
     known = [f for f in findings if f.true_loss_frame is not None]
     for stretch in live.wrong:
         if stretch.declared_frame is None and not any(_same(stretch, f) for f in known):
             first = stretch.first_frame
-            segments = record.sequence.segments
             segment = segment_of_frame(first, stamps_s[first], segments, stamps_s.tolist())
             findings.append(_stretch(stretch, segment, stamps_s))
     return findings
 
 
 def audit_loss_in(
-    record: RunRecord, onset_frame: int, end_frame: int, bounds: AuditBounds | None = None
+    record: RunRecord, onset_frame: int, end_frame: int, bounds: AuditBounds = BOUNDS
 ) -> LossAudit | Undefined:
-    """`audit_loss` of the map in which the frame before the onset was tracked.
+    """`audit_loss` of the map in which the frame before the onset was tracked; Undefined also if none was.
 
-    Args:
-        record: a run over a sequence with truth.
-        onset_frame, end_frame, bounds: as in `audit_loss`.
-
-    Returns:
-        The finding; Undefined also if that frame was not tracked.
+    The record is of a run over a sequence with truth.
     """
     before = record.results[onset_frame - 1] if onset_frame > 0 else None
     if before is None or before.T_map_cam is None:
         return Undefined("not tracking at the onset")
-    sequence, live = record.sequence, record.live[before.map_id]
-    assert sequence.T_world_cam is not None
-    return audit_loss(live, sequence.stamps_s, sequence.T_world_cam, onset_frame, end_frame, bounds)
+    truth = Truth.of(record.sequence)
+    return audit_loss(record.live[before.map_id], truth, onset_frame, end_frame, bounds)
 
 
 def declaration_delay_s(stamps_s: np.ndarray, lost: int | None, declared: int | None) -> float | None:
@@ -118,18 +107,20 @@ def audit_record(record: RunRecord) -> dict | None:
     """The audit as part of the summary; None without truth."""
     if record.sequence.T_world_cam is None:
         return None
-    bounds, relation_bounds = AuditBounds(), RelationBounds()
     stamps_s = record.sequence.stamps_s
     outcomes = breakage_outcomes(record.events, record.sequence.segments, stamps_s.tolist())
-    live, maps = audit_live(record, bounds), audit_maps(record, bounds)
-    losses = loss_findings(record, outcomes, live, bounds)
+    live = audit_live(record, BOUNDS)
+    losses = loss_findings(record, outcomes, live, BOUNDS)
     return {
-        "bounds": asdict(bounds),
-        "relation_bounds": asdict(relation_bounds),
+        "bounds": asdict(BOUNDS),
+        "relation_bounds": asdict(RELATION_BOUNDS),
         "losses": [asdict(f) | {"true_loss_time_s": _time_s(f.true_loss_frame, stamps_s)} for f in losses],
         "live": {name: value for name, value in vars(live).items() if name != "wrong"},
-        "maps": [asdict(found) | {"time_s": _time_s(found.first_frame, stamps_s)} for found in maps],
-        **audit_declared(record, relation_bounds).rows(float(stamps_s[0])),
+        "maps": [
+            found | {"time_s": _time_s(found["first_frame"], stamps_s)}
+            for found in audit_maps(record, BOUNDS)
+        ],
+        **audit_declared(record).rows(float(stamps_s[0])),
     }
 
 

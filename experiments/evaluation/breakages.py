@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from dslab.sim.sequence import SegmentTruth
 from dslab.slam.core.events import (
@@ -15,6 +16,7 @@ from dslab.slam.core.events import (
     Relocalized,
 )
 
+T = TypeVar("T")
 EXPOSURE_GRACE_S = 0.5
 """A breakage within this time after a segment's last frame is attributed to it: declaring takes time."""
 
@@ -100,32 +102,18 @@ def segment_of_frame(
 
     Of several that start at one frame it is the first listed.
     """
-    exposed = [
+    exposed = _exposed(frame, stamp_s, segments, stamps_s)
+    return max(exposed, key=lambda index: (segments[index].first_frame, -index), default=None)
+
+
+def _exposed(
+    frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
+) -> list[int]:
+    return [
         index
         for index, segment in enumerate(segments)
         if 0 <= segment.first_frame <= frame and stamp_s <= stamps_s[segment.last_frame] + EXPOSURE_GRACE_S
     ]
-    return max(exposed, key=lambda index: (segments[index].first_frame, -index), default=None)
-
-
-def segments_of_frame(
-    frame: int, stamp_s: float, segments: Sequence[SegmentTruth], stamps_s: Sequence[float]
-) -> tuple[int, ...]:
-    """Indices of the segment of a frame and of those that overlap it.
-
-    A segment that ended before that one started is not included.
-    """
-    latest = segment_of_frame(frame, stamp_s, segments, stamps_s)
-    if latest is None:
-        return ()
-    onset = segments[latest].first_frame
-    return tuple(
-        index
-        for index, segment in enumerate(segments)
-        if 0 <= segment.first_frame <= frame
-        and segment.last_frame >= onset
-        and stamp_s <= stamps_s[segment.last_frame] + EXPOSURE_GRACE_S
-    )
 
 
 def breakage_outcomes(
@@ -137,56 +125,51 @@ def breakage_outcomes(
     """
     events = list(events)
     breakages = [e for e in events if isinstance(e, Breakage)]
-    return [_outcome(b, breakages, events, segments, stamps_s) for b in breakages]
-
-
-def _outcome(
-    breakage: Breakage,
-    breakages: list[Breakage],
-    events: list[Event],
-    segments: Sequence[SegmentTruth],
-    stamps_s: Sequence[float],
-) -> BreakageOutcome:
-    later = [b.frame for b in breakages if b.map_id == breakage.map_id and b.frame > breakage.frame]
-    until = later[0] if later else None
-    after = [e for e in events if e.frame >= breakage.frame and (until is None or e.frame < until)]
-    reinit = [e.frame for e in after if isinstance(e, ReinitDone | Initialized) and e.frame > breakage.frame]
-    dropped = [
-        e.reason
-        for e in after
-        if isinstance(e, MapDropped) and (e.frame, e.map_id) == (breakage.frame, breakage.map_id)
-    ]
-    fusions = [e for e in after if isinstance(e, Fusion) and e.old_map_id == breakage.map_id]
-    across = [
-        e
-        for e in after
-        if isinstance(e, Fusion) and e.accepted and e.by == "recovery" and _spans(e, breakage, breakages)
-    ]
-    found = [e for e in after if isinstance(e, Relocalized) and e.map_id == breakage.map_id]
-    return BreakageOutcome(
-        breakage=breakage,
-        segment=segment_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
-        segments=segments_of_frame(breakage.frame, breakage.stamp_s, segments, stamps_s),
-        until_frame=until,
-        reinit_frame=reinit[0] if reinit else None,
-        recoveries=tuple(
-            e
-            for e in after
-            if isinstance(e, RecoveryEnd) and e.old_map_id == breakage.map_id and e.stage != "cancelled"
-        ),
-        fusion=_last(e for e in fusions if e.by == "recovery"),
-        bridged=across[0] if across else None,
-        joined=_last(e for e in fusions if e.by == "place" and e.accepted),
-        relocalized=found[0] if found else None,
-        dropped=dropped[0] if dropped else "",
-    )
+    found = []
+    for breakage in breakages:
+        frame, map_id = breakage.frame, breakage.map_id
+        latest = segment_of_frame(frame, breakage.stamp_s, segments, stamps_s)
+        # A segment that ended before that one started does not overlap it.
+        overlapping = [
+            index
+            for index in _exposed(frame, breakage.stamp_s, segments, stamps_s)
+            if latest is not None and segments[index].last_frame >= segments[latest].first_frame
+        ]
+        until = next((b.frame for b in breakages if b.map_id == map_id and b.frame > frame), None)
+        after = [e for e in events if e.frame >= frame and (until is None or e.frame < until)]
+        of_map = [e for e in after if isinstance(e, Fusion | RecoveryEnd) and e.old_map_id == map_id]
+        fusions = [e for e in of_map if isinstance(e, Fusion)]
+        found.append(
+            BreakageOutcome(
+                breakage=breakage,
+                segment=latest,
+                segments=tuple(overlapping),
+                until_frame=until,
+                reinit_frame=_first(
+                    e.frame for e in after if isinstance(e, ReinitDone | Initialized) and e.frame > frame
+                ),
+                recoveries=tuple(e for e in of_map if isinstance(e, RecoveryEnd) and e.stage != "cancelled"),
+                fusion=_first(e for e in reversed(fusions) if e.by == "recovery"),
+                bridged=_first(e for e in after if isinstance(e, Fusion) and _spans(e, breakage, breakages)),
+                joined=_first(e for e in reversed(fusions) if e.by == "place" and e.accepted),
+                relocalized=_first(e for e in after if isinstance(e, Relocalized) and e.map_id == map_id),
+                dropped=_first(
+                    e.reason
+                    for e in after
+                    if isinstance(e, MapDropped) and (e.frame, e.map_id) == (frame, map_id)
+                )
+                or "",
+            )
+        )
+    return found
 
 
 def _spans(fusion: Fusion, breakage: Breakage, breakages: list[Breakage]) -> bool:
-    """True if the fused maps lie before and after the broken map."""
+    """True for maps that lie before and after the broken one, fused by a recovery."""
     old = [b.frame for b in breakages if b.map_id == fusion.old_map_id and b.frame <= fusion.frame]
-    return fusion.old_map_id < breakage.map_id < fusion.new_map_id and max(old, default=-1) < breakage.frame
+    across = fusion.old_map_id < breakage.map_id < fusion.new_map_id
+    return fusion.accepted and fusion.by == "recovery" and across and max(old, default=-1) < breakage.frame
 
 
-def _last(fusions: Iterable[Fusion]) -> Fusion | None:
-    return next(iter(reversed(tuple(fusions))), None)
+def _first(found: Iterable[T]) -> T | None:
+    return next(iter(found), None)

@@ -4,10 +4,10 @@ import numpy as np
 
 from dslab.experiments.evaluation.alignment import Undefined, align_poses
 from dslab.experiments.evaluation.breakages import BreakageOutcome
-from dslab.experiments.evaluation.metrics import associate, path_length_m, position_errors_m, rms
+from dslab.experiments.evaluation.metrics import Truth, path_length_m, position_errors_m, rms
 from dslab.experiments.runs.execution import RunRecord
 from dslab.sim.sequence import Sequence
-from dslab.slam.core.events import Fusion, RecoveryStart
+from dslab.slam.core.events import RecoveryStart
 
 _BEFORE_S, _LEAST_POSES = 5.0, 15
 _LEAST_BOUND_M, _BOUND_SHARE = 0.1, 0.05  # of the path in that time
@@ -30,13 +30,25 @@ def breakage_figures(record: RunRecord, outcome: BreakageOutcome, audit: dict | 
     before = _error_before(record, outcome)
     error_m, bound_m = before or (None, None)
     fusion = outcome.fusion if outcome.recovered else None
+    false = since_s = None
+    if fusion is not None:
+        of, maps = (
+            (fusion.frame, fusion.old_map_id, fusion.new_map_id),
+            (fusion.old_map_id, fusion.new_map_id),
+        )
+        if audit is not None:
+            judged = {(f["frame"], f["old_map_id"], f["new_map_id"]): f["false"] for f in audit["fusions"]}
+            false = judged[of]
+        starts = [e for e in record.events if isinstance(e, RecoveryStart) and e.frame <= fusion.frame]
+        times_s = [fusion.stamp_s - e.stamp_s for e in starts if (e.old_map_id, e.map_id) == maps]
+        since_s = max(times_s, default=None)
     ends = {end.thread: end for end in outcome.recoveries}
     return {
         "error_m": error_m,
         "bound_m": bound_m,
         "healthy": None if before is None else before[0] <= before[1],
-        "false_fusion": None if fusion is None or audit is None else _is_false(fusion, audit),
-        "to_fusion_s": None if fusion is None else _since_start_s(record, fusion),
+        "false_fusion": false,
+        "to_fusion_s": since_s,
         **{f"thread_{k}": end.success for k, end in ends.items()},
         **{f"thread_{k}_reason": f"{end.stage}: {end.reason}".strip(": ") for k, end in ends.items()},
     }
@@ -65,33 +77,18 @@ def usable_frames(
     return frames[before], frames[(frames > last) & ~acts]
 
 
-def _is_false(fusion: Fusion, audit: dict) -> bool | None:
-    of = (fusion.frame, fusion.old_map_id, fusion.new_map_id)
-    judged = {(f["frame"], f["old_map_id"], f["new_map_id"]): f["false"] for f in audit["fusions"]}
-    return judged[of]
-
-
-def _since_start_s(record: RunRecord, fusion: Fusion) -> float | None:
-    """Time since the first thread of the recovery that led to a fusion began."""
-    of_fusion = (fusion.old_map_id, fusion.new_map_id)
-    starts = [e for e in record.events if isinstance(e, RecoveryStart) and e.frame <= fusion.frame]
-    since_s = [fusion.stamp_s - e.stamp_s for e in starts if (e.old_map_id, e.map_id) == of_fusion]
-    return max(since_s, default=None)
-
-
 def _error_before(record: RunRecord, outcome: BreakageOutcome) -> tuple[float, float] | None:
     """Error of the broken map's live poses in the last seconds, and its bound, m; None if too few."""
     broke, live = outcome.breakage, record.live.get(outcome.breakage.map_id)
-    stamps_s, T_world_cam = np.asarray(record.sequence.stamps_s), record.sequence.T_world_cam
-    if live is None or T_world_cam is None:
+    if live is None or record.sequence.T_world_cam is None:
         return None
-    pairs = associate(live, stamps_s, T_world_cam)
-    recent = (pairs.frames < broke.frame) & (stamps_s[pairs.frames] >= broke.stamp_s - _BEFORE_S)
-    pairs = pairs.where(recent)
+    truth = Truth.of(record.sequence)
+    recent = (live.frames < broke.frame) & (truth.stamps_s[live.frames] >= broke.stamp_s - _BEFORE_S)
+    pairs = truth.pairs(live.where(recent))
     if len(pairs) < _LEAST_POSES:
         return None
     aligned = align_poses(pairs.T_map_cam, pairs.T_world_cam)
     if isinstance(aligned, Undefined):
         return None
-    path_m = path_length_m(T_world_cam[pairs.frames[0] : pairs.frames[-1] + 1])
+    path_m = path_length_m(truth.T_world_cam[pairs.frames[0] : pairs.frames[-1] + 1])
     return rms(position_errors_m(pairs, aligned)), max(_LEAST_BOUND_M, _BOUND_SHARE * path_m)

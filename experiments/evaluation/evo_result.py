@@ -18,12 +18,10 @@ from typing import Any
 import numpy as np
 
 from dslab.experiments.evaluation.alignment import Undefined
-from dslab.experiments.evaluation.metrics import PosePairs, ate, position_errors_m
+from dslab.experiments.evaluation.metrics import PosePairs, ate, rms
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import open_file
 
-STATISTICS = ("rmse", "mean", "median", "std", "min", "max", "sse")
-"""The figures of ``stats.json``."""
 _INFO, _STATS, _ERRORS = "info.json", "stats.json", "error_array"
 _TITLE = "APE w.r.t. translation part (m)\n(with Sim(3) Umeyama alignment)"
 _MOST_TEXT_BYTES, _MOST_ARRAY_BYTES = 10**6, 256 * 10**6
@@ -64,7 +62,7 @@ def ate_result(
     found = ate(pairs)
     if isinstance(found, Undefined):
         return found
-    errors = position_errors_m(pairs, found.alignment)
+    errors = found.errors_m
     similarity = np.eye(4)
     similarity[:3, :3] = found.alignment.scale * found.alignment.R_world_map
     similarity[:3, 3] = found.alignment.t_world_map
@@ -84,18 +82,9 @@ def ate_result(
 
 
 def statistics(errors: np.ndarray) -> dict[str, float]:
-    """The figures of (n,) errors, n at least 1; ``sse`` is their sum of squares."""
-    squares = errors**2
-    values = (
-        np.sqrt(squares.mean()),
-        errors.mean(),
-        np.median(errors),
-        errors.std(),
-        errors.min(),
-        errors.max(),
-        squares.sum(),
-    )
-    return dict(zip(STATISTICS, map(float, values), strict=True))
+    """The figures of ``stats.json`` of (n,) errors, n at least 1; ``sse`` is their sum of squares."""
+    whole = {name: getattr(np, name)(errors) for name in ("mean", "median", "std", "min", "max")}
+    return {"rmse": rms(errors), **{k: float(v) for k, v in whole.items()}, "sse": float((errors**2).sum())}
 
 
 def write_evo_result(path: Path, result: EvoResult) -> None:

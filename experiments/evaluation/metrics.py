@@ -1,11 +1,11 @@
-"""Accuracy of a trajectory against the truth: ATE, RPE, scale along the path, coverage."""
+"""Accuracy of a trajectory against the truth: ATE, RPE, errors of poses, scale along the path, coverage."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from dslab.experiments.evaluation.alignment import Similarity, Undefined, rotation_angle_deg, umeyama
+from dslab.sim.sequence import Sequence
 from dslab.slam.core.results import MapTrajectory
 
 
@@ -32,20 +32,96 @@ class PosePairs:
 
 
 @dataclass(frozen=True)
-class Ate:
-    """Absolute trajectory error after alignment, metres.
+class Truth:
+    """The true path of a sequence.
 
     Attributes:
-        rmse_m, median_m, max_m: of the position errors.
-        poses: number of poses compared.
-        alignment: the alignment used; its scale is metres per map unit.
+        stamps_s: (N,) float64 times of all frames.
+        T_world_cam: (N, 4, 4) float64 true poses, metres, NaN where unknown.
     """
 
-    rmse_m: float
-    median_m: float
-    max_m: float
-    poses: int
+    stamps_s: np.ndarray
+    T_world_cam: np.ndarray
+
+    @classmethod
+    def of(cls, sequence: Sequence) -> "Truth":
+        """That of a sequence which has one."""
+        assert sequence.T_world_cam is not None
+        return cls(sequence.stamps_s, sequence.T_world_cam)
+
+    @property
+    def known(self) -> np.ndarray:
+        """(N,) bool: the pose is known."""
+        return np.asarray(np.isfinite(self.T_world_cam).all(axis=(1, 2)))
+
+    def pairs(self, path: MapTrajectory) -> PosePairs:
+        """The poses of a path with the truth; frames without truth are left out."""
+        return associate(path, self.stamps_s, self.T_world_cam)
+
+    def walked_m(self) -> np.ndarray:
+        """(N,) length of the path up to each pose, metres; straight over unknown poses."""
+        known = np.flatnonzero(self.known)
+        steps = np.zeros(len(self.T_world_cam))
+        steps[known[1:]] = np.linalg.norm(np.diff(self.T_world_cam[known, :3, 3], axis=0), axis=1)
+        return np.cumsum(steps)
+
+
+@dataclass(frozen=True)
+class PoseBounds:
+    """Bounds beyond which a pose counts as wrong.
+
+    Attributes:
+        position_share: position error allowed per metre of the extent over which poses are compared.
+        position_floor_m: position error allowed in any case.
+        rotation_deg: orientation error allowed.
+    """
+
+    position_share: float = 0.05
+    position_floor_m: float = 0.1
+    rotation_deg: float = 5.0
+
+    def position_m(self, extent_m: np.ndarray | float) -> np.ndarray:
+        """Position error allowed over an extent, metres."""
+        return np.maximum(self.position_floor_m, self.position_share * np.asarray(extent_m))
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """Errors of single poses in a common alignment.
+
+    Attributes:
+        position_m, bound_m, rotation_deg: (n,) float64.
+        false: (n,) bool, out of bounds.
+    """
+
+    position_m: np.ndarray
+    bound_m: np.ndarray
+    rotation_deg: np.ndarray
+    false: np.ndarray
+
+    @property
+    def medians(self) -> tuple[float, float, float]:
+        """Of position, bound and rotation."""
+        position_m, bound_m, rotation_deg = map(np.median, (self.position_m, self.bound_m, self.rotation_deg))
+        return float(position_m), float(bound_m), float(rotation_deg)
+
+
+@dataclass(frozen=True)
+class Ate:
+    """Absolute trajectory error after alignment.
+
+    Attributes:
+        alignment: the alignment used; its scale is metres per map unit.
+        errors_m: (n,) distance of every aligned position from the true one, metres.
+    """
+
     alignment: Similarity
+    errors_m: np.ndarray
+
+    @property
+    def rmse_m(self) -> float:
+        """By which the error is known."""
+        return rms(self.errors_m)
 
 
 @dataclass(frozen=True)
@@ -55,7 +131,7 @@ class Rpe:
     Attributes:
         translation_rmse_m, translation_median_m: error of the relative translation over the step.
         rotation_rmse_deg, rotation_median_deg: error of the relative rotation over the step.
-        delta, unit: the step, in frames or in metres of true path.
+        delta, unit: the step, in frames.
         pairs: number of steps compared.
     """
 
@@ -63,7 +139,7 @@ class Rpe:
     translation_median_m: float
     rotation_rmse_deg: float
     rotation_median_deg: float
-    delta: float
+    delta: int
     unit: str
     pairs: int
 
@@ -122,17 +198,15 @@ def associate(
     return PosePairs(frames[known], trajectory.T_map_cam[known], truth[known])
 
 
-def ate(pairs: PosePairs, with_scale: bool = True) -> Ate | Undefined:
-    """Absolute trajectory error over all pairs, aligned by Sim(3) or SE(3).
+def ate(pairs: PosePairs) -> Ate | Undefined:
+    """Absolute trajectory error over all pairs, aligned by Sim(3).
 
     Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, sec. IV.B.
     """
-    p_map, p_world = pairs.T_map_cam[:, :3, 3], pairs.T_world_cam[:, :3, 3]
-    alignment = umeyama(p_map, p_world, with_scale)
+    alignment = umeyama(pairs.T_map_cam[:, :3, 3], pairs.T_world_cam[:, :3, 3])
     if isinstance(alignment, Undefined):
         return alignment
-    errors = position_errors_m(pairs, alignment)
-    return Ate(rms(errors), float(np.median(errors)), float(errors.max()), len(errors), alignment)
+    return Ate(alignment, position_errors_m(pairs, alignment))
 
 
 def position_errors_m(pairs: PosePairs, alignment: Similarity) -> np.ndarray:
@@ -140,24 +214,31 @@ def position_errors_m(pairs: PosePairs, alignment: Similarity) -> np.ndarray:
     return np.linalg.norm(alignment.points(pairs.T_map_cam[:, :3, 3]) - pairs.T_world_cam[:, :3, 3], axis=1)
 
 
-def rotation_errors_deg(pairs: PosePairs, alignment: Similarity) -> np.ndarray:
-    """(n,) angle between every aligned orientation and the true one, degrees."""
+def pose_errors(
+    pairs: PosePairs, alignment: Similarity, extent_m: np.ndarray | float, bounds: PoseBounds
+) -> PoseErrors:
+    """Compare n poses with the truth.
+
+    Args:
+        pairs: the poses.
+        alignment: of their map to the world.
+        extent_m: (n,), or one for all: the extent over which they are compared.
+        bounds: of a right pose.
+    """
+    position_m = position_errors_m(pairs, alignment)
     aligned = alignment.R_world_map @ pairs.T_map_cam[:, :3, :3]
-    return rotation_angle_deg(np.swapaxes(pairs.T_world_cam[:, :3, :3], 1, 2) @ aligned)
+    rotation_deg = rotation_angle_deg(np.swapaxes(pairs.T_world_cam[:, :3, :3], 1, 2) @ aligned)
+    bound_m = np.broadcast_to(bounds.position_m(extent_m), position_m.shape)
+    right = (position_m <= bound_m) & (rotation_deg <= bounds.rotation_deg)
+    return PoseErrors(position_m, bound_m, rotation_deg, ~right)
 
 
-def rpe(
-    pairs: PosePairs, delta: float, unit: Literal["frames", "metres"], scale: float = 1.0
-) -> Rpe | Undefined:
-    """Relative pose error over steps of ``delta``.
-
-    In frames, every pair of posed frames exactly ``delta`` apart is used; in metres, consecutive steps that
-    each end at the first pose at least ``delta`` of true path after their start.
+def rpe(pairs: PosePairs, delta: int, scale: float = 1.0) -> Rpe | Undefined:
+    """Relative pose error over every pair of posed frames exactly ``delta`` apart.
 
     Args:
         pairs: estimate and truth.
-        delta: the step, > 0.
-        unit: of the step.
+        delta: the step in frames, > 0.
         scale: metres per map unit, from the alignment.
 
     Returns:
@@ -165,24 +246,17 @@ def rpe(
 
     Source: Sturm et al., IROS 2012, sec. IV.A, eqs. 1-3.
     """
-    starts, ends = _frame_steps(pairs, round(delta)) if unit == "frames" else _metre_steps(pairs, delta)
+    _, starts, ends = np.intersect1d(pairs.frames + delta, pairs.frames, return_indices=True)
     if not len(starts):
-        return Undefined(f"no step of {delta:g} {unit} is posed at both ends")
+        return Undefined(f"no step of {delta} frames is posed at both ends")
     T_map_cam = pairs.T_map_cam.copy()
     T_map_cam[:, :3, 3] *= scale
     estimated = np.linalg.inv(T_map_cam[starts]) @ T_map_cam[ends]
     true = np.linalg.inv(pairs.T_world_cam[starts]) @ pairs.T_world_cam[ends]
     error = np.linalg.inv(true) @ estimated
     translation, rotation = np.linalg.norm(error[:, :3, 3], axis=1), rotation_angle_deg(error[:, :3, :3])
-    return Rpe(
-        rms(translation),
-        float(np.median(translation)),
-        rms(rotation),
-        float(np.median(rotation)),
-        delta,
-        unit,
-        len(starts),
-    )
+    medians = float(np.median(translation)), float(np.median(rotation))
+    return Rpe(rms(translation), medians[0], rms(rotation), medians[1], delta, "frames", len(starts))
 
 
 def scale_along(pairs: PosePairs, stretches: int = 10) -> ScaleAlong | Undefined:
@@ -220,14 +294,6 @@ def path_length_m(T_world_cam: np.ndarray) -> float:
     return float(np.nansum(np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1)))
 
 
-def walked_m(T_world_cam: np.ndarray) -> np.ndarray:
-    """(n,) length of a true path (n, 4, 4) up to each pose, metres; straight over unknown poses."""
-    known = np.flatnonzero(np.isfinite(T_world_cam).all(axis=(1, 2)))
-    steps = np.zeros(len(T_world_cam))
-    steps[known[1:]] = np.linalg.norm(np.diff(T_world_cam[known, :3, 3], axis=0), axis=1)
-    return np.cumsum(steps)
-
-
 def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
     """Length of true path covered by the posed frames, and its share of the whole.
 
@@ -246,23 +312,3 @@ def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
 def rms(values: np.ndarray) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _frame_steps(pairs: PosePairs, delta: int) -> tuple[np.ndarray, np.ndarray]:
-    ends = np.searchsorted(pairs.frames, pairs.frames + delta)
-    starts = np.flatnonzero(ends < len(pairs))
-    starts = starts[pairs.frames[ends[starts]] == pairs.frames[starts] + delta]
-    return starts, ends[starts]
-
-
-def _metre_steps(pairs: PosePairs, delta_m: float) -> tuple[np.ndarray, np.ndarray]:
-    if len(pairs) < 2:
-        return np.empty(0, int), np.empty(0, int)
-    steps = np.linalg.norm(np.diff(pairs.T_world_cam[:, :3, 3], axis=0), axis=1)
-    marks, walked = [0], 0.0
-    for i, step in enumerate(steps):
-        walked += step
-        if walked >= delta_m:
-            marks.append(i + 1)
-            walked = 0.0
-    return np.array(marks[:-1], int), np.array(marks[1:], int)

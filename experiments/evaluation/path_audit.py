@@ -12,8 +12,14 @@ import numpy as np
 
 from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
 from dslab.experiments.evaluation.audit import AuditBounds, lacks_for_alignment, lost_from
-from dslab.experiments.evaluation.metrics import PosePairs, associate, path_length_m, rms, walked_m
-from dslab.experiments.evaluation.pose_errors import PoseErrors, pose_errors
+from dslab.experiments.evaluation.metrics import (
+    PoseErrors,
+    PosePairs,
+    Truth,
+    path_length_m,
+    pose_errors,
+    rms,
+)
 from dslab.slam.core.results import MapTrajectory
 
 STEP_S = 1.0
@@ -92,24 +98,16 @@ def fit(pairs: PosePairs, bounds: AuditBounds) -> Fit | Undefined:
     return Fit(alignment, pose_errors(pairs, alignment, path_length_m(pairs.T_world_cam), bounds))
 
 
-def audit_path(
-    path: MapTrajectory, stamps_s: np.ndarray, T_world_cam: np.ndarray, bounds: AuditBounds
-) -> PathAudit:
+def audit_path(path: MapTrajectory, truth: Truth, bounds: AuditBounds) -> PathAudit:
     """Judge the poses of one map, of which none was moved against the others.
 
     The first window that reaches a pose decides on it.
-
-    Args:
-        path: the poses.
-        stamps_s: (N,) float64 times of all frames.
-        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
-        bounds: of right poses.
     """
     unjudged, judged, wrong = dict.fromkeys(path.frames.tolist(), _NO_TRUTH), set(), []
-    along_m = walked_m(T_world_cam)
-    for piece in known_pieces(associate(path, stamps_s, T_world_cam), stamps_s, T_world_cam, bounds):
+    along_m = truth.walked_m()
+    for piece in known_pieces(truth.pairs(path), truth, bounds):
         right_until = -1
-        for window in _windows(piece, stamps_s, along_m, bounds):
+        for window in _windows(piece, truth.stamps_s, along_m, bounds):
             judged.update(window.judged.tolist())
             unjudged |= dict.fromkeys(window.left.tolist(), window.reason)
             if window.lost is not None and window.judged[-1] > right_until:
@@ -119,12 +117,10 @@ def audit_path(
     return PathAudit(frames, _joined(wrong), {f: r for f, r in unjudged.items() if f not in judged})
 
 
-def known_pieces(
-    pairs: PosePairs, stamps_s: np.ndarray, T_world_cam: np.ndarray, bounds: AuditBounds
-) -> list[PosePairs]:
+def known_pieces(pairs: PosePairs, truth: Truth, bounds: AuditBounds) -> list[PosePairs]:
     """Poses between gaps of the truth longer than ``seam_s``: how far was walked in one is not known."""
-    known = np.flatnonzero(np.isfinite(T_world_cam).all(axis=(1, 2)))
-    begun = known[1:][np.diff(stamps_s[known]) > bounds.seam_s]
+    known = np.flatnonzero(truth.known)
+    begun = known[1:][np.diff(truth.stamps_s[known]) > bounds.seam_s]
     number = np.searchsorted(begun, pairs.frames, side="right")
     return [pairs.where(number == own) for own in np.unique(number)]
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.experiments.evaluation.alignment import Similarity, Undefined, align_poses
-from dslab.experiments.evaluation.metrics import PosePairs, associate
-from dslab.experiments.evaluation.pose_errors import PoseBounds, PoseErrors, pose_errors
+from dslab.experiments.evaluation.metrics import PoseBounds, PoseErrors, PosePairs, Truth, pose_errors
 from dslab.slam.core.relation import PlacedFrames, Relation
 from dslab.slam.core.results import MapTrajectory
 
@@ -42,6 +41,9 @@ class RelationBounds(PoseBounds):
     follow_s: float = 1.0
 
 
+RELATION_BOUNDS = RelationBounds()
+
+
 @dataclass(frozen=True)
 class RelationAudit:
     """Judgement of an asserted relation.
@@ -63,6 +65,11 @@ class RelationAudit:
     false: bool | None
     reason: str
 
+    @classmethod
+    def open(cls, reason: str) -> "RelationAudit":
+        """That of nothing, for a reason."""
+        return cls(None, None, None, None, None, reason)
+
 
 @dataclass(frozen=True)
 class RecognisedSide:
@@ -79,22 +86,14 @@ class RecognisedSide:
     depth_m: float
 
     @classmethod
-    def of(
-        cls, relation: Relation, stamps_s: np.ndarray, T_world_cam: np.ndarray, bounds: RelationBounds
-    ) -> "RecognisedSide | Undefined":
-        """Align the old side of a relation.
-
-        Args:
-            relation: as asserted.
-            stamps_s: (N,) float64 times of all frames.
-            T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
-            bounds: what an alignment needs.
+    def of(cls, relation: Relation, truth: Truth, bounds: RelationBounds) -> "RecognisedSide | Undefined":
+        """Align the old side of a relation, as asserted.
 
         Returns:
             The side; Undefined if its keyframes are too few, too close together, or do not fit the truth
             among themselves, so that nothing can be compared with them.
         """
-        keyframes = _spread_out(_pairs(relation.old, stamps_s, T_world_cam), relation.depth, bounds)
+        keyframes = _spread_out(_pairs(relation.old, truth), relation.depth, bounds)
         if isinstance(keyframes, Undefined):
             return keyframes
         alignment = align_poses(keyframes.T_map_cam, keyframes.T_world_cam)
@@ -102,9 +101,9 @@ class RecognisedSide:
             return alignment
         side = cls(alignment, keyframes, alignment.scale * relation.depth)
         own = side.errors(keyframes, bounds)
-        if np.median(own.position_m / own.bound_m) > 1 or np.median(own.rotation_deg) > bounds.rotation_deg:
-            off = f"{np.median(own.position_m):.2f} m, {np.median(own.rotation_deg):.1f} degrees"
-            return Undefined(f"they do not fit the truth themselves ({off})")
+        off_m, _, off_deg = own.medians
+        if np.median(own.position_m / own.bound_m) > 1 or off_deg > bounds.rotation_deg:
+            return Undefined(f"they do not fit the truth themselves ({off_m:.2f} m, {off_deg:.1f} degrees)")
         return side
 
     def errors(self, pairs: PosePairs, bounds: RelationBounds) -> PoseErrors:
@@ -115,31 +114,22 @@ class RecognisedSide:
 
 
 def audit_asserted(
-    relation: Relation, stamps_s: np.ndarray, T_world_cam: np.ndarray, bounds: RelationBounds
+    relation: Relation, truth: Truth, bounds: RelationBounds = RELATION_BOUNDS
 ) -> RelationAudit:
-    """Judge the relation that a loop closure or a fusion asserts.
-
-    Args:
-        relation: as asserted.
-        stamps_s: (N,) float64 times of all frames.
-        T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown.
-        bounds: of a right relation.
-    """
-    side = RecognisedSide.of(relation, stamps_s, T_world_cam, bounds)
+    """Judge the relation that a loop closure or a fusion asserts."""
+    side = RecognisedSide.of(relation, truth, bounds)
     if isinstance(side, Undefined):
-        return RelationAudit(None, None, None, None, None, f"recognised keyframes: {side.reason}")
-    new = _pairs(relation.new, stamps_s, T_world_cam)
+        return RelationAudit.open(f"recognised keyframes: {side.reason}")
+    new = _pairs(relation.new, truth)
     if not len(new):
-        return RelationAudit(None, None, None, None, None, "no true pose of the recognising keyframes")
-    errors = side.errors(new.where(np.arange(len(new)) < bounds.compared), bounds)
-    position_m, bound_m = float(np.median(errors.position_m)), float(np.median(errors.bound_m))
-    rotation_deg = float(np.median(errors.rotation_deg))
+        return RelationAudit.open("no true pose of the recognising keyframes")
+    medians = side.errors(new.where(np.arange(len(new)) < bounds.compared), bounds).medians
+    position_m, bound_m, rotation_deg = medians
     false = position_m > bound_m or rotation_deg > bounds.rotation_deg
     scale_error = _scale_error(side, new, relation.depth, bounds)
     if isinstance(scale_error, Undefined):
-        return RelationAudit(position_m, bound_m, rotation_deg, None, false, f"scale: {scale_error.reason}")
-    false = false or abs(scale_error) > bounds.scale_share
-    return RelationAudit(position_m, bound_m, rotation_deg, scale_error, false, "")
+        return RelationAudit(*medians, None, false, f"scale: {scale_error.reason}")
+    return RelationAudit(*medians, scale_error, false or abs(scale_error) > bounds.scale_share, "")
 
 
 def _scale_error(
@@ -180,6 +170,5 @@ def _spread(T: np.ndarray) -> float:
     return float(np.linalg.norm(p[:, None] - p[None], axis=2).max())
 
 
-def _pairs(placed: PlacedFrames, stamps_s: np.ndarray, T_world_cam: np.ndarray) -> PosePairs:
-    trajectory = MapTrajectory(-1, placed.frames, placed.stamps_s, placed.T_map_cam)
-    return associate(trajectory, stamps_s, T_world_cam)
+def _pairs(placed: PlacedFrames, truth: Truth) -> PosePairs:
+    return truth.pairs(MapTrajectory(-1, placed.frames, placed.stamps_s, placed.T_map_cam))

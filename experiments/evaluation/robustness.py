@@ -30,7 +30,7 @@ def step_errors(pairs: PosePairs, T_world_cam: np.ndarray) -> tuple[np.ndarray, 
     errors_m = np.full(len(T_world_cam), np.inf)
     found = metrics.ate(pairs) if len(pairs) else Undefined("no pose")
     if not isinstance(found, Undefined):
-        errors_m[pairs.frames] = metrics.position_errors_m(pairs, found.alignment)
+        errors_m[pairs.frames] = found.errors_m
     own = errors_m[known]
     return lengths_m / path_m, np.maximum(own[:-1], own[1:]) / path_m
 

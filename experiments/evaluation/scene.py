@@ -1,12 +1,12 @@
 """Layout of a run for display: every map aligned to the truth, up axis, extent."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dslab.experiments.evaluation.alignment import IDENTITY, Similarity, Undefined, align_poses
-from dslab.experiments.evaluation.metrics import associate
+from dslab.experiments.evaluation.metrics import Truth
 from dslab.experiments.runs.execution import RunRecord
 from dslab.slam.core.results import MapTrajectory
 
@@ -40,12 +40,10 @@ def lay_out(record: RunRecord) -> Scene:
         alignment = _placement(record, trajectory)
         if isinstance(alignment, Similarity):
             poses = alignment.poses(trajectory.T_map_cam)
-            final[trajectory.map_id] = MapTrajectory(
-                trajectory.map_id, trajectory.frames, trajectory.stamps_s, poses
-            )
+            final[trajectory.map_id] = replace(trajectory, T_map_cam=poses)
     truth = record.sequence.T_world_cam
-    known = _known(truth) if truth is not None else np.empty((0, 4, 4))
-    poses = np.concatenate([known, *(t.T_map_cam for t in final.values())])
+    known = [] if truth is None else [truth[np.isfinite(truth).all(axis=(1, 2))]]
+    poses = np.concatenate([np.empty((0, 4, 4)), *known, *(t.T_map_cam for t in final.values())])
     positions = poses[:, :3, 3] if len(poses) else np.zeros((1, 3))
     low, high = positions.min(axis=0), positions.max(axis=0)
     return Scene(truth, placed, final, _up(poses), (low + high) / 2, max(float((high - low).max()), 1e-3))
@@ -62,12 +60,8 @@ def together(scenes: Sequence[Scene]) -> Scene:
 def _placement(record: RunRecord, trajectory: MapTrajectory) -> Similarity | Undefined:
     if record.sequence.T_world_cam is None:
         return IDENTITY
-    pairs = associate(trajectory, record.sequence.stamps_s, record.sequence.T_world_cam)
+    pairs = Truth.of(record.sequence).pairs(trajectory)
     return align_poses(pairs.T_map_cam, pairs.T_world_cam)
-
-
-def _known(T_world_cam: np.ndarray) -> np.ndarray:
-    return T_world_cam[np.isfinite(T_world_cam).all(axis=(1, 2))]
 
 
 def _up(T_world_cam: np.ndarray) -> np.ndarray:

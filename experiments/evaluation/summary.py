@@ -1,10 +1,10 @@
 """The summary of a run: counts, accuracy, times, audit; null for undetermined figures."""
 
-from collections.abc import Iterable
 from collections.abc import Sequence as Many
 from dataclasses import asdict
 
 import numpy as np
+import pandas as pd
 
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
@@ -16,7 +16,7 @@ from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.provenance import commit, versions
 from dslab.scenarios.describe import describe_kind
 from dslab.sim.sequence import Sequence
-from dslab.slam.core.events import Fusion, Relocalized, RescueEnd, TrackingState
+from dslab.slam.core.events import Relocalized, RescueEnd, TrackingState
 from dslab.slam.core.results import TrackingResult
 
 RPE_STEP_S = 1.0
@@ -45,7 +45,10 @@ def summarise(record: RunRecord) -> dict:
         "sequence": sequence_label(record.sequence),
         "system": record.system_kind,
         "seed": record.seed,
-        **_ending(record),
+        "ended": record.ending.kind.value,
+        "ended_message": record.ending.message,
+        "declares": record.declares.value,
+        "live_poses": "given" if record.has_live_poses else "final",
         **_counts(record, outcomes),
         **_accuracy(record),
         **time_figures(record.results),
@@ -85,10 +88,9 @@ def posed_frames(record: RunRecord) -> np.ndarray:
 
 def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
     """Path of the main map, which has most frames, paired with the truth; None if either is missing."""
-    truth = record.sequence.T_world_cam
-    if truth is None or not record.trajectories:
+    if record.sequence.T_world_cam is None or not record.trajectories:
         return None
-    return metrics.associate(record.trajectories[0], record.sequence.stamps_s, truth)
+    return metrics.Truth.of(record.sequence).pairs(record.trajectories[0])
 
 
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
@@ -98,21 +100,18 @@ def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dic
     counts in one segment only, so that the sum over segments is at most that of the run: of overlapping ones,
     in that which started last.
     """
-    errors = _main_map_errors(record)
+    errors, pairs = {}, main_map_pairs(record)
+    if pairs is not None and not isinstance(ate := metrics.ate(pairs), Undefined):
+        errors = dict(zip(pairs.frames.tolist(), ate.errors_m.tolist(), strict=True))
     rows = []
     for index, segment in enumerate(record.sequence.segments):
         inside = range(segment.first_frame, segment.last_frame + 1) if segment.first_frame >= 0 else range(0)
         own = [o for o in outcomes if o.segment == index]
         posed = [errors[f] for f in inside if f in errors]
+        fields = ("kind", "severity", "start_s", "end_s", "first_frame", "last_frame")
         rows.append(
-            {
-                "index": index,
-                "kind": segment.kind,
-                "severity": segment.severity,
-                "start_s": segment.start_s,
-                "end_s": segment.end_s,
-                "first_frame": segment.first_frame,
-                "last_frame": segment.last_frame,
+            {"index": index, **{name: getattr(segment, name) for name in fields}}
+            | {
                 "frames": len(inside),
                 "tracked": sum(is_tracked(record.results[f]) for f in inside),
                 "breakages": len(own),
@@ -125,32 +124,17 @@ def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dic
     return rows
 
 
-def stage_times(results: Iterable[TrackingResult]) -> dict[str, dict[str, float | None]]:
+def stage_times(results: Many[TrackingResult]) -> dict[str, dict[str, float | None]]:
     """Median and 95th percentile of the times of each tracking stage, over the frames in which it ran."""
-    wall: dict[str, list[float]] = {}
-    cpu: dict[str, list[float]] = {}
-    for result in results:
-        for stage, value in result.ms.items():
-            wall.setdefault(stage, []).append(value)
-        for stage, value in result.cpu_ms.items():
-            cpu.setdefault(stage, []).append(value)
+    cpu, wall = (pd.DataFrame([getattr(r, name) for r in results]) for name in ("cpu_ms", "ms"))
     return {
-        stage: {
-            "frames": len(values),
-            "cpu_ms_median": _median(values),
-            "cpu_ms_p95": _p95(values),
-            "ms_median": _median(wall.get(stage, [])),
+        str(stage): {
+            "frames": int(cpu[stage].count()),
+            "cpu_ms_median": _median(cpu[stage].dropna()),
+            "cpu_ms_p95": _p95(cpu[stage].dropna()),
+            "ms_median": _median(wall[stage].dropna()) if stage in wall else None,
         }
-        for stage, values in cpu.items()
-    }
-
-
-def _ending(record: RunRecord) -> dict:
-    return {
-        "ended": record.ending.kind.value,
-        "ended_message": record.ending.message,
-        "declares": record.declares.value,
-        "live_poses": "given" if record.has_live_poses else "final",
+        for stage in cpu
     }
 
 
@@ -183,9 +167,9 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
 
 
 def _accuracy(record: RunRecord) -> dict:
-    names = ("ate_m", "ate_median_m", "ate_max_m", "ate_share_of_path", "scale_m_per_map_unit")
-    scale_names = ("scale_along", "scale_first_over_last")
-    empty = dict.fromkeys((*names, *scale_names, "ate_poses", "path_m", "path_share", "true_path_m", "rpe"))
+    names = ("ate_m", "ate_median_m", "ate_max_m", "ate_share_of_path", "scale_m_per_map_unit", "scale_along")
+    names += ("scale_first_over_last", "ate_poses", "path_m", "path_share", "true_path_m", "rpe")
+    empty = dict.fromkeys(names)
     truth = record.sequence.T_world_cam
     if truth is None:
         return {**empty, "ate_reason": "no ground truth"}
@@ -199,26 +183,20 @@ def _accuracy(record: RunRecord) -> dict:
     if isinstance(ate, Undefined):
         return {**found, "ate_reason": ate.reason}
     step = max(1, round(RPE_STEP_S * record.sequence.camera.fps))
-    rpe = metrics.rpe(pairs, step, "frames", ate.alignment.scale)
+    rpe = metrics.rpe(pairs, step, ate.alignment.scale)
+    scale = metrics.scale_along(pairs)
+    if not isinstance(scale, Undefined):
+        found |= {"scale_along": scale.relative, "scale_first_over_last": scale.first_over_last}
     return {
         **found,
         "ate_m": ate.rmse_m,
-        "ate_median_m": ate.median_m,
-        "ate_max_m": ate.max_m,
+        "ate_median_m": float(np.median(ate.errors_m)),
+        "ate_max_m": float(ate.errors_m.max()),
         "ate_share_of_path": ate.rmse_m / covered.path_m if covered.path_m > 0 else None,
         "scale_m_per_map_unit": ate.alignment.scale,
         "ate_reason": "",
-        **_scale(pairs),
         "rpe": {"reason": rpe.reason} if isinstance(rpe, Undefined) else asdict(rpe),
     }
-
-
-def _scale(pairs: metrics.PosePairs) -> dict:
-    scale = metrics.scale_along(pairs)
-    if isinstance(scale, Undefined):
-        return {}
-    along = [float(r) if np.isfinite(r) else None for r in scale.relative]
-    return {"scale_along": along, "scale_first_over_last": scale.first_over_last}
 
 
 def time_figures(results: Many[TrackingResult]) -> dict[str, float | None]:
@@ -255,7 +233,7 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
         "fusion_frame": outcome.fusion.frame if outcome.fusion else None,
         "relocalized_frame": outcome.relocalized.frame if outcome.relocalized else None,
         "lost_s": outcome.relocalized.lost_s if outcome.relocalized else None,
-        "repair": _repair_kind(repair),
+        "repair": "relocalization" if isinstance(repair, Relocalized) else repair and repair.by,
         "repair_frame": repair.frame if repair else None,
         "repair_time_s": stamps_s[repair.frame] - stamps_s[0] if repair else None,
         "thread": thread.thread if thread else None,
@@ -264,26 +242,9 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
     }
 
 
-def _repair_kind(repair: Fusion | Relocalized | None) -> str | None:
-    """``recovery``, ``relocalization`` or ``place``; None for a breakage that was never repaired."""
-    return "relocalization" if isinstance(repair, Relocalized) else repair and repair.by
+def _median(values: Many[float] | pd.Series) -> float | None:
+    return float(np.median(values)) if len(values) else None
 
 
-def _main_map_errors(record: RunRecord) -> dict[int, float]:
-    """Position error, metres, of every frame of the main map; empty if undetermined."""
-    pairs = main_map_pairs(record)
-    if pairs is None:
-        return {}
-    ate = metrics.ate(pairs)
-    if isinstance(ate, Undefined):
-        return {}
-    errors = metrics.position_errors_m(pairs, ate.alignment)
-    return dict(zip(pairs.frames.tolist(), errors.tolist(), strict=True))
-
-
-def _median(values: list[float]) -> float | None:
-    return float(np.median(values)) if values else None
-
-
-def _p95(values: list[float]) -> float | None:
-    return float(np.percentile(values, 95)) if values else None
+def _p95(values: Many[float] | pd.Series) -> float | None:
+    return float(np.percentile(values, 95)) if len(values) else None

@@ -82,3 +82,7 @@ class MapTrajectory:
     frames: np.ndarray
     stamps_s: np.ndarray
     T_map_cam: np.ndarray
+
+    def where(self, kept: np.ndarray) -> "MapTrajectory":
+        """The poses that a (n,) bool mask selects."""
+        return MapTrajectory(self.map_id, self.frames[kept], self.stamps_s[kept], self.T_map_cam[kept])

@@ -59,12 +59,6 @@ def test_no_other_similarity_fits_noisy_points_better():
         assert cost(other) >= cost(best)
 
 
-def test_without_scale_the_scale_is_one():
-    rng = np.random.default_rng(1)
-    p = rng.normal(size=(10, 3))
-    assert umeyama(p, 3 * p, with_scale=False).scale == 1.0
-
-
 @pytest.mark.parametrize(
     ("positions", "why"),
     [

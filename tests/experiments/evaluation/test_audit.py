@@ -6,7 +6,8 @@ from scipy.spatial.transform import Rotation
 from slam_fakes import circle, fake_factory, make_sequence
 
 from dslab.experiments.evaluation.alignment import Undefined
-from dslab.experiments.evaluation.audit import AuditBounds, audit_fusion, audit_loss, audit_relation
+from dslab.experiments.evaluation.audit import AuditBounds, audit_loss, audit_relation
+from dslab.experiments.evaluation.metrics import Truth
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs.execution import execute
 from dslab.slam.core.results import MapTrajectory
@@ -28,45 +29,50 @@ def live(frames, shift_from: int | None = None, turn: bool = False) -> MapTrajec
 
 
 def test_a_sound_map_shows_no_loss():
-    found = audit_loss(live(range(N)), STAMPS, circle(N), 150, 200)
+    found = audit_loss(live(range(N)), Truth(STAMPS, circle(N)), 150, 200)
     assert found.true_loss_frame is None
     assert found.error_m < 1e-9
 
 
 @pytest.mark.parametrize("turn", [False, True])
 def test_the_loss_is_the_first_frame_that_stays_off(turn):
-    found = audit_loss(live(range(N), shift_from=170, turn=turn), STAMPS, circle(N), 150, 200)
+    found = audit_loss(live(range(N), shift_from=170, turn=turn), Truth(STAMPS, circle(N)), 150, 200)
     assert found.true_loss_frame == 170
 
 
 def test_frames_without_a_pose_are_lost():
-    found = audit_loss(live(range(165)), STAMPS, circle(N), 150, 200)
+    found = audit_loss(live(range(165)), Truth(STAMPS, circle(N)), 150, 200)
     assert found.true_loss_frame == 165
 
 
 def test_a_gap_that_heals_is_no_loss():
     frames = [*range(160), *range(170, N)]
-    assert audit_loss(live(frames), STAMPS, circle(N), 150, 200).true_loss_frame is None
+    assert audit_loss(live(frames), Truth(STAMPS, circle(N)), 150, 200).true_loss_frame is None
 
 
 def test_an_error_within_the_bounds_is_no_loss():
     T = circle(N)
     T[170:, 2, 3] += 0.09
-    found = audit_loss(MapTrajectory(0, np.arange(N), STAMPS, T), STAMPS, circle(N), 150, 200)
+    found = audit_loss(MapTrajectory(0, np.arange(N), STAMPS, T), Truth(STAMPS, circle(N)), 150, 200)
     assert found.true_loss_frame is None
     tight = AuditBounds(position_share=0.0, position_floor_m=0.08)
-    found = audit_loss(MapTrajectory(0, np.arange(N), STAMPS, T), STAMPS, circle(N), 150, 200, tight)
+    found = audit_loss(MapTrajectory(0, np.arange(N), STAMPS, T), Truth(STAMPS, circle(N)), 150, 200, tight)
     assert found.true_loss_frame == 170
 
 
 def test_a_truth_of_fewer_frames_than_the_camera_hides_no_loss():
     truth = circle(N)
     truth[1::2] = np.nan
-    assert audit_loss(live(range(N), shift_from=170), STAMPS, truth, 150, 200).true_loss_frame == 170
+    assert audit_loss(live(range(N), shift_from=170), Truth(STAMPS, truth), 150, 200).true_loss_frame == 170
 
 
 def test_too_short_a_lead_in_cannot_be_judged():
-    assert isinstance(audit_loss(live(range(145, N)), STAMPS, circle(N), 150, 200), Undefined)
+    assert isinstance(audit_loss(live(range(145, N)), Truth(STAMPS, circle(N)), 150, 200), Undefined)
+
+
+def fused(path):
+    """Judge both sides of a breakage in one map."""
+    return audit_relation(path, path, STAMPS, circle(N), 150, AuditBounds())
 
 
 @pytest.mark.parametrize(("factor", "false"), [(1.0, False), (1.05, False), (1.3, True), (0.7, True)])
@@ -74,7 +80,7 @@ def test_a_wrong_scale_after_a_fusion_is_found(factor, false):
     T = circle(N)
     seam = T[150, :3, 3].copy()
     T[151:, :3, 3] = seam + factor * (T[151:, :3, 3] - seam)
-    found = audit_fusion(MapTrajectory(0, np.arange(N), STAMPS, T), STAMPS, circle(N), 150)
+    found = fused(MapTrajectory(0, np.arange(N), STAMPS, T))
     assert found.scale_error == pytest.approx(factor - 1, abs=1e-6)
     assert found.false is false
 
@@ -82,14 +88,14 @@ def test_a_wrong_scale_after_a_fusion_is_found(factor, false):
 def test_a_displaced_part_after_a_fusion_is_false_though_its_scale_is_right():
     T = circle(N)
     T[151:, :3, 3] += [0.5, 0.5, 0.5]
-    found = audit_fusion(MapTrajectory(0, np.arange(N), STAMPS, T), STAMPS, circle(N), 150)
+    found = fused(MapTrajectory(0, np.arange(N), STAMPS, T))
     assert found.scale_error == pytest.approx(0, abs=1e-9)
     assert found.seam_error_m == pytest.approx(np.sqrt(0.75))
     assert found.false is True
 
 
 def test_a_fusion_with_nothing_after_it_is_not_judged():
-    found = audit_fusion(live(range(151)), STAMPS, circle(N), 150)
+    found = fused(live(range(151)))
     assert found.false is None
     assert "no pose after" in found.reason and "scale" in found.reason
 

@@ -8,7 +8,8 @@ from loop_scenes import ring
 from slam_fakes import simulated_camera
 
 from dslab.experiments.evaluation.declared_audit import audit_declared
-from dslab.experiments.evaluation.relation_audit import RelationBounds, audit_asserted
+from dslab.experiments.evaluation.metrics import Truth
+from dslab.experiments.evaluation.relation_audit import audit_asserted
 from dslab.experiments.runs.execution import execute, system_factory
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.frame import Frame
@@ -61,12 +62,12 @@ def judged_on_ring(**change):
     r = ring()
     loop = replace(r.loop, **change)
     relation = loop_relation(r.map, loop.keyframe, loop.loop_keyframe, loop.S_cam_map)
-    return audit_asserted(relation, *truth_of(r), RelationBounds())
+    return audit_asserted(relation, truth_of(r))
 
 
 def truth_of(r):
-    """Times and true poses of a ring's keyframes."""
-    return np.arange(len(r.T_cam_world)) / 30, np.linalg.inv(r.T_cam_world)
+    """That of a ring's keyframes."""
+    return Truth(np.arange(len(r.T_cam_world)) / 30, np.linalg.inv(r.T_cam_world))
 
 
 def test_a_right_loop_after_heavy_drift_is_right_with_a_margin():
@@ -124,7 +125,7 @@ def test_a_loop_that_a_tampered_detector_finds_is_judged_as_asserted_not_as_corr
     task = KeyframeTask(last, system.mapper, Tampered(r, share), np.random.default_rng(0))
     system.engine.backend._close_loop(task, r.loop.keyframe)
     (event,) = [e for e in system.events if e.kind == "loop_closed"]
-    found = audit_asserted(event.relation, *truth_of(r), RelationBounds())
+    found = audit_asserted(event.relation, truth_of(r))
     assert found.false is false
 
 
@@ -133,7 +134,7 @@ def test_a_loop_that_a_tampered_detector_finds_is_judged_as_asserted_not_as_corr
 
 @pytest.mark.slow
 def test_a_true_relocalization_is_right_and_a_displaced_one_false(sequence, monkeypatch):
-    (found,) = declared(sequence).relocalizations
+    found = declared(sequence).relocalizations[0].audit
     assert found.false is False and found.frames_false == 0 and found.frames_judged > 20
     assert found.largest_error_m < 0.5 * found.position_bound_m
     real = Probation.offer

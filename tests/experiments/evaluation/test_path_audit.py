@@ -9,6 +9,7 @@ from slam_fakes import circle, fake_factory, make_sequence
 
 from dslab.experiments.evaluation.audit import AuditBounds
 from dslab.experiments.evaluation.audit_text import audit_text, runs_text
+from dslab.experiments.evaluation.metrics import Truth
 from dslab.experiments.evaluation.path_audit import audit_path
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs.execution import execute
@@ -34,7 +35,7 @@ def path_of(T) -> MapTrajectory:
 
 
 def wrong(T, truth):
-    return audit_path(path_of(T), np.arange(len(T)) / FPS, truth, AuditBounds()).wrong
+    return audit_path(path_of(T), Truth(np.arange(len(T)) / FPS, truth), AuditBounds()).wrong
 
 
 def test_a_good_run_is_judged_throughout_and_said_to_be_good():
@@ -126,7 +127,7 @@ def test_a_scale_from_poses_of_a_small_extent_is_as_uncertain_as_they_are_off(tr
     T[away, 0, 3] = 0.4 + 120 * (1 - np.exp(-(time_s[away] - 5) / 120))  # a slow drift, none by itself
     T[~away, 0, 3] *= 1.0 if truth_off_m else 0.8
     truth[~away, 0, 3] += truth_off_m * np.sin(2 * np.pi * time_s[~away] / 5)
-    found = audit_path(MapTrajectory(0, np.arange(600), time_s, T), time_s, truth, AuditBounds())
+    found = audit_path(MapTrajectory(0, np.arange(600), time_s, T), Truth(time_s, truth), AuditBounds())
     assert bool(found.wrong) is (truth_off_m == 0)
 
 
@@ -135,7 +136,7 @@ def test_gaps_of_the_truth_are_not_judged_across():
     truth[350:440] = np.nan
     T = circle(900)
     T[400:, :3, 3] += 2.0
-    found = audit_path(path_of(T), np.arange(900) / FPS, truth, AuditBounds())
+    found = audit_path(path_of(T), Truth(np.arange(900) / FPS, truth), AuditBounds())
     assert found.wrong == () and len(found.judged) == 810
     assert set(found.unjudged.values()) == {"no true pose"}
 

@@ -8,7 +8,8 @@ from slam_fakes import circle, fake_factory, make_sequence
 from dslab.experiments.eq1.judging import judge_run
 from dslab.experiments.eq1.units import Exposure
 from dslab.experiments.evaluation.declared_audit import audit_declared
-from dslab.experiments.evaluation.relation_audit import RelationBounds, audit_asserted
+from dslab.experiments.evaluation.metrics import Truth
+from dslab.experiments.evaluation.relation_audit import audit_asserted
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs.execution import execute
 from dslab.slam.core import events as ev
@@ -54,7 +55,7 @@ def asserted(scale=1.0, shift_m=(0.0, 0.0, 0.0), turn_deg=0.0, old=OLD, new=NEW)
 
 
 def judged(*args, **kwargs):
-    return audit_asserted(asserted(*args, **kwargs), STAMPS, TRUTH, RelationBounds())
+    return audit_asserted(asserted(*args, **kwargs), Truth(STAMPS, TRUTH))
 
 
 def test_a_true_relation_is_right_to_rounding():
@@ -90,7 +91,7 @@ def test_a_relation_of_two_different_places_is_false():
     T = MAP @ S @ TRUTH[np.array(elsewhere)]
     T[:, :3, :3] /= 0.4
     new = PlacedFrames(np.array(elsewhere), STAMPS[np.array(elsewhere)], T)
-    found = audit_asserted(Relation(placed(OLD), new, 0.8), STAMPS, TRUTH, RelationBounds())
+    found = audit_asserted(Relation(placed(OLD), new, 0.8), Truth(STAMPS, TRUTH))
     assert found.false is True and found.position_error_m > 2
 
 
@@ -103,7 +104,7 @@ def test_drift_of_the_whole_map_does_not_make_a_right_relation_false():
         T = drift @ side.T_map_cam
         T[:, :3, :3] /= 2.5
         sides.append(PlacedFrames(side.frames, side.stamps_s, T))
-    found = audit_asserted(Relation(*sides, 2.5 * relation.depth), STAMPS, TRUTH, RelationBounds())
+    found = audit_asserted(Relation(*sides, 2.5 * relation.depth), Truth(STAMPS, TRUTH))
     assert found.false is False and found.position_error_m < 1e-9
 
 
@@ -126,7 +127,7 @@ def test_an_old_side_that_is_corrupted_itself_leaves_it_open():
     bent = relation.old.T_map_cam.copy()
     bent[5:, :3, 3] += 0.4 * np.array([0, 0, 2.0])
     old = PlacedFrames(relation.old.frames, relation.old.stamps_s, bent)
-    found = audit_asserted(Relation(old, relation.new, relation.depth), STAMPS, TRUTH, RelationBounds())
+    found = audit_asserted(Relation(old, relation.new, relation.depth), Truth(STAMPS, TRUTH))
     assert found.false is None and "do not fit the truth themselves" in found.reason
 
 
@@ -197,9 +198,13 @@ def test_a_system_that_does_not_say_what_it_asserts_is_not_judged():
 
 
 def test_relocalized_frames_are_judged_one_by_one_for_a_second():
-    right = audit_declared(run_with(breaks_at=160, relocalizes_after=40)).relocalizations[0]
+    right = audit_declared(run_with(breaks_at=160, relocalizes_after=40)).relocalizations[0].audit
     assert (right.frames_judged, right.frames_false, right.false) == (31, 0, False)
-    off = audit_declared(run_with(breaks_at=160, relocalizes_after=40, new_map_scale=1.5)).relocalizations[0]
+    off = (
+        audit_declared(run_with(breaks_at=160, relocalizes_after=40, new_map_scale=1.5))
+        .relocalizations[0]
+        .audit
+    )
     assert (off.frames_judged, off.frames_false, off.false) == (31, 31, True)
     assert off.largest_error_m > off.position_error_m > off.position_bound_m
 
@@ -207,7 +212,7 @@ def test_relocalized_frames_are_judged_one_by_one_for_a_second():
 def test_poses_that_leave_the_truth_later_are_counted_but_only_most_of_them_make_it_false():
     def found(drift_from):
         run = run_with(breaks_at=160, relocalizes_after=40, drift_from=drift_from)
-        return audit_declared(run).relocalizations[0]
+        return audit_declared(run).relocalizations[0].audit
 
     late, soon = found(225), found(203)
     assert 0 < late.frames_false < 10 and late.false is False
@@ -216,10 +221,10 @@ def test_poses_that_leave_the_truth_later_are_counted_but_only_most_of_them_make
 
 def test_judging_ends_with_the_next_loss_and_where_a_correction_moves_the_map():
     again = ev.LoopClosed(**{**vars(loop(0.0)), "frame": 210, "stamp_s": 7.0})
-    found = audit_declared(run_with(again, breaks_at=160, relocalizes_after=40)).relocalizations[0]
+    found = audit_declared(run_with(again, breaks_at=160, relocalizes_after=40)).relocalizations[0].audit
     assert found.frames_judged == 10
     record = run_with(breaks_at=160, relocalizes_after=40)
     lost = tuple(r if r.frame < 204 else type(r)(**{**vars(r), "state": ev.TrackingState.LOST})
                  for r in record.results)  # fmt: skip
-    found = audit_declared(type(record)(**{**vars(record), "results": lost})).relocalizations[0]
+    found = audit_declared(type(record)(**{**vars(record), "results": lost})).relocalizations[0].audit
     assert found.frames_judged == 4
