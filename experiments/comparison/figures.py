@@ -102,6 +102,6 @@ def _path(run: LeftRun) -> dict[str, Any]:
     found = metrics.ate(run.pairs) if len(run.pairs) else Undefined("no pose")
     if not isinstance(found, Undefined):
         positions[run.pairs.frames] = found.alignment.points(run.pairs.T_map_cam[:, :3, 3])
-        errors_m[run.pairs.frames] = metrics.position_errors_m(run.pairs, found.alignment)
+        errors_m[run.pairs.frames] = found.errors_m
     time_s = run.stamps_s - run.stamps_s[0]
     return {"folder": str(run.folder), "time_s": time_s, "positions": positions, "errors_m": errors_m}

@@ -21,9 +21,9 @@ def draw_paths(sequence: dict[str, Any], width_in: float) -> Figure:
     truth = np.asarray(sequence["truth"], float)
     ground = np.sort(np.argsort(np.nanmax(truth, axis=0) - np.nanmin(truth, axis=0))[1:])
     axes.plot(*truth[:, ground].T, color=TRUTH, linewidth=4, zorder=1)
-    for place, system in enumerate(sequence["systems"]):
+    for place, (system, line, colour) in enumerate(_lines(sequence)):
         path = np.asarray(system["positions"], float)[:, ground]
-        axes.plot(*path.T, _LINES[place % 4], color=_colour(system, place), linewidth=1.6, zorder=2 + place)
+        axes.plot(*path.T, line, color=colour, linewidth=1.6, zorder=2 + place)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel=f"{'xyz'[ground[0]]}, m", ylabel=f"{'xyz'[ground[1]]}, m")
     legend_above(
@@ -35,23 +35,21 @@ def draw_paths(sequence: dict[str, Any], width_in: float) -> Figure:
 def draw_errors(sequence: dict[str, Any], width_in: float) -> Figure:
     """Draw the position error of every system over time; a line ends where there is no pose."""
     figure, axes = _panel(width_in)
-    for place, system in enumerate(sequence["systems"]):
+    for system, line, colour in _lines(sequence):
         errors = np.maximum(np.asarray(system["errors_m"], float), 1e-6)
-        axes.plot(system["time_s"], errors, _LINES[place % 4], color=_colour(system, place), linewidth=1.4)
+        axes.plot(system["time_s"], errors, line, color=colour, linewidth=1.4)
     axes.set_yscale("log")
     axes.set(xlabel="time, s", ylabel="position error, m")
     legend_above(figure, _legend(sequence), 4, width_in)
     return figure
 
 
-def draw_within(sequence: dict[str, Any], thresholds: np.ndarray, width_in: float) -> Figure:
+def draw_within(sequence: dict[str, Any], width_in: float, thresholds: np.ndarray) -> Figure:
     """Draw the share of the path within each error threshold; robustness is the mean over the shaded part."""
     figure, axes = _panel(width_in)
     axes.axvspan(LEAST, MOST, color="#eef2f6", zorder=0)
-    for place, system in enumerate(sequence["systems"]):
-        axes.plot(
-            thresholds, system["within"], _LINES[place % 4], color=_colour(system, place), linewidth=1.6
-        )
+    for system, line, colour in _lines(sequence):
+        axes.plot(thresholds, system["within"], line, color=colour, linewidth=1.6)
     axes.set_xscale("log")
     log_ticks(axes.xaxis, thresholds[0], thresholds[-1])
     percent_axis(axes.xaxis)
@@ -84,12 +82,16 @@ def _panel(width_in: float) -> tuple[Figure, Axes]:
     return figure, figure.subplots()
 
 
-def _colour(system: dict[str, Any], place: int) -> str:
-    return system_color(system["name"], place)
+def _lines(sequence: dict[str, Any]) -> list[tuple[dict[str, Any], str, str]]:
+    """Every system with its line and colour."""
+    return [
+        (system, _LINES[place % 4], system_color(system["name"], place))
+        for place, system in enumerate(sequence["systems"])
+    ]
 
 
 def _legend(sequence: dict[str, Any]) -> list[Line2D]:
     return [
-        Line2D([], [], color=_colour(system, place), linestyle=_LINES[place % 4], label=system["name"])
-        for place, system in enumerate(sequence["systems"])
+        Line2D([], [], color=colour, linestyle=line, label=system["name"])
+        for system, line, colour in _lines(sequence)
     ]

@@ -12,7 +12,7 @@ from dslab.experiments.campaign.folder import read_rows
 from dslab.experiments.eq1.boundary_plan import FAILURES, BoundaryPlan
 from dslab.experiments.eq1.records import Outcome
 from dslab.experiments.eq1.units import RECOVERING
-from dslab.experiments.report.conditions import describe_label
+from dslab.experiments.report.conditions import axis_label, describe_label
 from dslab.experiments.report.plots.boundary import draw_boundary
 from dslab.experiments.report.plots.draw import rendered
 from dslab.experiments.report.plots.style import WIDE_IN, settings
@@ -78,7 +78,7 @@ def boundary_content(schedule: BoundarySchedule) -> dict[str, Any]:
         "column": plan.column,
         "level": plan.level,
         "field": plan.axis.field,
-        "axis": _axis_label(plan),
+        "axis": axis_label(plan.axis.field),
         "stronger": "more" if plan.axis.rises else "less",
         "weakest": plan.axis.weakest,
         "strongest": plan.axis.strongest,
@@ -134,20 +134,11 @@ def _dose_within(plan: BoundaryPlan, strength: float) -> float | None:
     return plan.axis.dose(strength) if within else None
 
 
-def _axis_label(plan: BoundaryPlan) -> str:
-    label, unit = label_and_unit(plan.axis.field)
-    return f"{label} ({unit.strip()})" if unit and label != unit.strip() else label
-
-
 def _trial(plan: BoundaryPlan, record: Any) -> dict[str, Any]:
     without = record["cell"] == plan.sham_cell or record["exposed"] is False
-    dose = None if without else record["severity"]
     outcome = record[plan.column]
-    return {
-        "unit_id": record["unit_id"],
-        "cell": record["cell"],
-        "index": record["index"],
-        "dose": dose,
+    return {name: record[name] for name in ("unit_id", "cell", "index")} | {
+        "dose": None if without else record["severity"],
         "failed": None if outcome is None else bool(outcome),
     }
 

@@ -29,44 +29,29 @@ def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
 
 def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]:
     cell = spec.cells[name]
-    system = system_label(cell.system) if name != cell.image else None
-    if cell.degradation is None or cell.dose is None:
-        *base, _ = cell.image.split("/")
-        named = ", ".join([*base, "no stress"])
-        return {
-            "number": number,
-            "cell": name,
-            "kind": SHAM,
-            "field": "",
-            "dose": "none",
-            "value": 0.0,
-            "axis": "",
-            "severity": 0.0,
-            "stress": named,
-            "name": f"{named} ({system})" if system else named,
-        }
-    degradation = spec.degradations[cell.degradation]
-    value = degradation.doses_of(cell.base)[cell.dose]
-    dose = describe_field(degradation.dose, value)
-    label, unit = label_and_unit(degradation.dose)
-    *base, _, _ = cell.image.split("/")
-    # A value is not parted from its unit.
-    together = dose.replace(
-        f"{plain(value)}{unit}", f"{plain(value)}{unit}".replace(" ", "\N{NO-BREAK SPACE}")
-    )
-    named = ", ".join([*base, describe_label(degradation.label), together])
-    return {
-        "number": number,
-        "cell": name,
-        "kind": degradation.label,
-        "field": degradation.dose,
-        "dose": dose,
-        "value": value,
-        "axis": f"{label} ({unit.strip()})" if unit and label != unit.strip() else label,
-        "severity": degradation.severities_of(cell.base)[cell.dose],
-        "stress": named,
-        "name": f"{named} ({system})" if system else named,
-    }
+    place = cell.image.split("/")
+    found = {"number": number, "cell": name, "kind": SHAM, "field": "", "dose": "none"}
+    found |= {"value": 0.0, "axis": "", "severity": 0.0}
+    stress = [*place[:-1], "no stress"]
+    if cell.degradation is not None and cell.dose is not None:
+        degradation = spec.degradations[cell.degradation]
+        label, field = degradation.label, degradation.dose
+        value = degradation.doses_of(cell.base)[cell.dose]
+        dose = describe_field(field, value)
+        found |= {"kind": label, "field": field, "dose": dose, "value": value, "axis": axis_label(field)}
+        found["severity"] = degradation.severities_of(cell.base)[cell.dose]
+        together = f"{plain(value)}{label_and_unit(field)[1]}"  # a value is not parted from its unit
+        together = dose.replace(together, together.replace(" ", "\N{NO-BREAK SPACE}"))
+        stress = [*place[:-2], describe_label(label), together]
+    named = ", ".join(stress)
+    system = f" ({system_label(cell.system)})" if name != cell.image else ""
+    return found | {"stress": named, "name": f"{named}{system}"}
+
+
+def axis_label(field: str) -> str:
+    """Label of an axis of doses, with their unit."""
+    label, unit = label_and_unit(field)
+    return f"{label} ({unit.strip()})" if unit and label != unit.strip() else label
 
 
 def describe_label(label: str) -> str:

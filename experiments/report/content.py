@@ -80,8 +80,7 @@ def report_content(
         "conditioning": conditioning(analysis, table),
         "tables": {
             "table_1": reproductions.table_1(table),
-            "table_2": reproductions.table_2(table, threads, families, systems),
-            "table_3": reproductions.table_3(table, threads, families, systems),
+            **reproductions.tables_2_and_3(table, threads, families, systems),
         },
         "initialisation": reproductions.initialisation(
             table, systems, {cell: scenario.camera.fps for cell, scenario in scenarios.items()}

@@ -22,11 +22,7 @@ def number(value: float | None) -> str:
         return NONE
     if isinstance(value, int) or (value == int(value) and abs(value) < 1e5):
         return f"{int(value)}"
-    return (
-        f"{value:.3g}"
-        if 1e-3 <= abs(value) < 1e3
-        else f"{value:.3g}".replace("e-0", "e-").replace("e+0", "e")
-    )
+    return f"{value:.3g}".replace("e-0", "e-").replace("e+0", "e")
 
 
 def metres(value: float | None) -> str:
@@ -69,7 +65,7 @@ def ends_percent(of: dict[str, Any]) -> str:
 
 def interval_of_share(share: dict[str, Any]) -> str:
     """Share with the ends of its interval in brackets: ``24.1 % [13.4, 34.3]``."""
-    low, high = ("unbounded" if end is None else percent(end) for end in (share["low"], share["high"]))
+    low, high = _ends(share, percent)
     return f"{percent(share['value'])} [{low.removesuffix(' %')}, {high.removesuffix(' %')}]"
 
 
@@ -88,8 +84,12 @@ def listed(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
 
 
+def _ends(of: dict[str, Any], form: Callable[[float | None], str]) -> list[str]:
+    return ["unbounded" if of[end] is None else form(of[end]) for end in ("low", "high")]
+
+
 def _between(of: dict[str, Any], form: Callable[[float | None], str]) -> str:
-    low, high = ("unbounded" if end is None else form(end) for end in (of["low"], of["high"]))
+    low, high = _ends(of, form)
     return f"{low.removesuffix(' %') if high.endswith(' %') else low} to {high}"
 
 

@@ -64,11 +64,10 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
         threads: n, the number of recovery threads.
         folder: folder of the experiment, for the command that replays a unit.
     """
-    found = []
     place = shlex.quote(str(folder))
-    for _, row in completed(table).iterrows():
-        failed = _failures_of(row, threads)
-        if failed:
+    found = []
+    for row in completed(table).to_dict("records"):
+        if failed := _failures_of(row, threads):
             unit = str(row["unit_id"])
             found.append(
                 {
@@ -86,15 +85,16 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
     return found
 
 
-def _failures_of(row: pd.Series, threads: int) -> list[str]:
+def _failures_of(row: dict[Any, Any], threads: int) -> list[str]:
     """Names of the failures of a unit."""
-    levels = [n for n in range(1, threads + 1) if _is_set(row[dual_column(n)])]
+    numbers = range(1, threads + 1)
+    levels = [n for n in numbers if _is_set(row[dual_column(n)])]
     found = [f"dual failure (n = {', '.join(map(str, levels))})"] if levels else []
     for arm, place in (("free", ""), ("cross", " in the crossing arm")):
-        false = [j for j in range(1, threads + 1) if _is_set(row[thread_column(arm, j, "false")])]
+        false = [j for j in numbers if _is_set(row[thread_column(arm, j, "false")])]
         found += [f"false recovery by thread {j}{place}" for j in false]
-    crossed = [thread_column("cross", j, "failed") for j in range(1, threads + 1)]
-    if as_data(row["breakage"]) is None and all(_is_set(row[failed]) for failed in crossed):
+    crossed = [thread_column("cross", j, "failed") for j in numbers]
+    if pd.isna(row["breakage"]) and all(_is_set(row[failed]) for failed in crossed):
         found.append("no thread crosses")
     if _is_set(row["silent_failure"]):
         found.append("silent failure")
@@ -104,14 +104,14 @@ def _failures_of(row: pd.Series, threads: int) -> list[str]:
     return found
 
 
-def _thread_failures(row: pd.Series, threads: int) -> list[dict[str, Any]]:
-    failed = []
-    arm: Literal["free", "cross"] = "cross" if as_data(row["breakage"]) is None else "free"
-    for thread in range(1, threads + 1):
-        if _is_set(row[thread_column(arm, thread, "failed")]):
-            stage, reason = (row[thread_column(arm, thread, name)] for name in ("stage", "reason"))
-            failed.append({"thread": thread, "stage": as_data(stage) or "", "reason": as_data(reason) or ""})
-    return failed
+def _thread_failures(row: dict[Any, Any], threads: int) -> list[dict[str, Any]]:
+    arm: Literal["free", "cross"] = "cross" if pd.isna(row["breakage"]) else "free"
+    return [
+        {"thread": thread}
+        | {name: as_data(row[thread_column(arm, thread, name)]) or "" for name in ("stage", "reason")}
+        for thread in range(1, threads + 1)
+        if _is_set(row[thread_column(arm, thread, "failed")])
+    ]
 
 
 def _is_set(value: Any) -> bool:
@@ -128,32 +128,24 @@ def worlds_of_kinds(table: pd.DataFrame) -> dict[str, int]:
 def taxonomy(table: pd.DataFrame, threads: int) -> dict[str, Any]:
     """Reasons of breakages, stages and reasons of failed recoveries, silent failures, delays."""
     rows = completed(table)
-    per_cell = []
-    for cell, of_cell in rows.groupby("cell", sort=False):
-        per_cell.append(
-            {
-                "cell": cell,
-                "breakage_reasons": counted(of_cell["breakage_reason"][is_true(of_cell["breakage"])]),
-                "silent": _silent(of_cell),
-                "mission_causes": counted(of_cell["mission_cause"]),
-                "declaration_delay_s": spread(of_cell["declaration_delay_s"]),
-            }
-        )
-    broke = is_true(rows["breakage"])
     return {
-        "breakage_reasons": counted(rows["breakage_reason"][broke]),
-        "silent": _silent(rows),
-        "mission_causes": counted(rows["mission_cause"]),
+        **_reasons(rows),
         "base_mission_causes": counted(rows["base_mission_cause"]),
-        "declaration_delay_s": spread(rows["declaration_delay_s"]),
-        "per_cell": per_cell,
+        "per_cell": [
+            {"cell": cell, **_reasons(of_cell)} for cell, of_cell in rows.groupby("cell", sort=False)
+        ],
         "threads": [_thread_taxonomy(rows, arm, thread) for arm in ARMS for thread in range(1, threads + 1)],
     }
 
 
-def _silent(rows: pd.DataFrame) -> dict[str, Any]:
-    """Silent failures, of the unbroken units."""
-    return of_trials(rows.loc[is_false(rows["breakage"]), "silent_failure"])
+def _reasons(rows: pd.DataFrame) -> dict[str, Any]:
+    return {
+        "breakage_reasons": counted(rows["breakage_reason"][is_true(rows["breakage"])]),
+        # Of the unbroken units.
+        "silent": of_trials(rows.loc[is_false(rows["breakage"]), "silent_failure"]),
+        "mission_causes": counted(rows["mission_cause"]),
+        "declaration_delay_s": spread(rows["declaration_delay_s"]),
+    }
 
 
 def _thread_taxonomy(rows: pd.DataFrame, arm: Any, thread: int) -> dict[str, Any]:
@@ -166,14 +158,12 @@ def _thread_taxonomy(rows: pd.DataFrame, arm: Any, thread: int) -> dict[str, Any
         "attempts": int(failed.notna().sum()),
         "failed": len(lost),
         "stages": counted(lost[thread_column(arm, thread, "stage")]),
-        "reasons": counted(_without_figures(lost[thread_column(arm, thread, "reason")])),
+        # Reasons that differ in their figures only are the same.
+        "reasons": counted(
+            lost[thread_column(arm, thread, "reason")].str.replace(r"[-+]?\d+(\.\d+)?", "…", regex=True)
+        ),
         "false": of_trials(rows.loc[declared, thread_column(arm, thread, "false")].fillna(False)),
     }
-
-
-def _without_figures(reasons: pd.Series) -> pd.Series:
-    """Reasons that differ in their figures only, made equal."""
-    return reasons.str.replace(r"[-+]?\d+(\.\d+)?", "…", regex=True)
 
 
 def set_aside(table: pd.DataFrame, systems: Mapping[str, str]) -> dict[str, Any]:
@@ -190,22 +180,20 @@ def set_aside(table: pd.DataFrame, systems: Mapping[str, str]) -> dict[str, Any]
     lead_ins = void[~lead_in.duplicated()]
     errors = table[table["outcome"] == Outcome.INFRASTRUCTURE_ERROR]
     retried = completed(table)
+    names = ["unit_id", "cell", "index"]
     return {
         "void_lead_ins": len(lead_ins),
         "void_reasons": counted(lead_ins["void_reason"].fillna("no reason given")),
-        "void": [
-            _named(row) | {"reason": as_data(row["void_reason"]) or ""} for _, row in lead_ins.iterrows()
-        ],
-        "errors": [
-            _named(row) | {"message": as_data(row["message"]) or "", "attempts": as_data(row["attempts"])}
-            for _, row in errors.iterrows()
-        ],
+        "void": _records(lead_ins[names].assign(reason=lead_ins["void_reason"].fillna(""))),
+        "errors": _records(
+            errors[names].assign(message=errors["message"].fillna(""), attempts=errors["attempts"])
+        ),
         "completed_after_errors": int((retried["attempts"].fillna(1) > 1).sum()),
     }
 
 
-def _named(row: pd.Series) -> dict[str, Any]:
-    return {"unit_id": as_data(row["unit_id"]), "cell": row["cell"], "index": as_data(row["index"])}
+def _records(rows: pd.DataFrame) -> list[dict[str, Any]]:
+    return as_data(rows.to_dict("records"))
 
 
 def costs(table: pd.DataFrame) -> dict[str, Any]:

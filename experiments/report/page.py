@@ -1,6 +1,5 @@
 """Page of a report: one self-contained HTML file."""
 
-import base64
 import re
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ from dslab.experiments.report.answer import MEANINGS
 from dslab.experiments.report.conditions import describe_label, thread_names
 from dslab.experiments.report.describe import FILTERS
 from dslab.experiments.report.paper_figures import PAPER
-from dslab.experiments.report.plots.draw import Image, Plot
+from dslab.experiments.report.plots.draw import Plot
 
 _TEMPLATES = Path(__file__).with_name("templates")
 
@@ -26,8 +25,7 @@ def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
     """
     return render_page(
         _TEMPLATES,
-        FILTERS
-        | {"data_uri": _data_uri, "labelled": _labelled, "in_order": _in_order, "stress": describe_label},
+        FILTERS | {"labelled": _labelled, "in_order": _in_order, "stress": describe_label},
         report=report,
         plots=plots,
         paper=PAPER,
@@ -36,10 +34,6 @@ def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
         thread_names=thread_names(report),
         meanings=MEANINGS,
     )
-
-
-def _data_uri(image: Image) -> str:
-    return "data:image/svg+xml;base64," + base64.b64encode(image.svg).decode("ascii")
 
 
 def _labelled(rows: Markup, heads: list[str]) -> Markup:

@@ -22,37 +22,42 @@ def table_1(table: pd.DataFrame) -> list[dict[str, Any]]:
 
     The ATE is over keyframes, as in the paper.
     """
-    rows = []
-    for cell, units in completed(table).groupby("cell", sort=False):
-        failed = {"base": units["base_failure"], "dual": units["dual_failure"]}
-        row: dict[str, Any] = {"cell": cell, "units": len(units)}
-        for system, column in failed.items():
-            row[system] = {
-                "median_ate_m": _median(units[f"{system}_keyframe_ate_m"]),
+    medians = {"median_ate_m": "keyframe_ate_m", "median_share_tracked": "share_tracked"}
+    medians["median_path_share"] = "path_share"
+    return [
+        {"cell": cell, "units": len(units)}
+        | {
+            system: {name: _median(units[f"{system}_{column}"]) for name, column in medians.items()}
+            | {
                 "units_with_ate": int(units[f"{system}_keyframe_ate_m"].notna().sum()),
-                "median_share_tracked": _median(units[f"{system}_share_tracked"]),
-                "median_path_share": _median(units[f"{system}_path_share"]),
-                "failed": of_trials(column),
+                "failed": of_trials(units[f"{system}_failure"]),
             }
-        rows.append(row)
-    return rows
+            for system in ("base", "dual")
+        }
+        for cell, units in completed(table).groupby("cell", sort=False)
+    ]
 
 
-def table_2(
+def tables_2_and_3(
     table: pd.DataFrame, threads: int, families: Mapping[str, str], systems: Mapping[str, str]
-) -> list[dict[str, Any]]:
-    """Failures of base and Dual-SLAM for each number of threads, per system and family.
+) -> dict[str, list[dict[str, Any]]]:
+    """Per system and family the failures for each number of threads, and the recoveries.
 
     Args:
         table: the records.
         threads: n.
         families: family of each cell, in place of the paper's data sets.
         systems: system of each cell.
+
+    Returns:
+        ``table_2``: failures of base and Dual-SLAM. ``table_3``: recoveries that were needed, failed, and
+        succeeded by thread, with their mean CPU time.
     """
-    return [
-        names | _failure_rates(units, threads)
-        for names, units in _groups(completed(table), families, systems)
-    ]
+    groups = list(_groups(completed(table), families, systems))
+    return {
+        "table_2": [names | _failure_rates(units, threads) for names, units in groups],
+        "table_3": [names | _recoveries(units, threads) for names, units in groups],
+    }
 
 
 def _groups(
@@ -83,18 +88,6 @@ def _failure_rates(units: pd.DataFrame, threads: int) -> dict[str, Any]:
             for name, share in shares.items()
         },
     }
-
-
-def table_3(
-    table: pd.DataFrame, threads: int, families: Mapping[str, str], systems: Mapping[str, str]
-) -> list[dict[str, Any]]:
-    """Recoveries per system and family: needed, failed, succeeded by thread, mean CPU time.
-
-    Arguments as `table_2`.
-    """
-    return [
-        names | _recoveries(units, threads) for names, units in _groups(completed(table), families, systems)
-    ]
 
 
 def _recoveries(units: pd.DataFrame, threads: int) -> dict[str, Any]:
@@ -132,16 +125,19 @@ def initialisation(
         systems: system of each cell.
         frames_per_s: frame rate of each cell.
     """
-    rows = []
-    for cell, units in completed(table).groupby("cell", sort=False):
-        rate = frames_per_s[str(cell)]
-        waits = {
-            "after_breakage": units["reinit_frame"] - units["breakage_frame"],
-            "after_segment": units["cross_reinit_frame"] - units["end_frame"],
+
+    def seconds(units: pd.DataFrame, after: str, at: str, cell: str) -> dict[str, Any]:
+        return spread((units[at] - units[after]).astype("Float64") / frames_per_s[cell])
+
+    return [
+        {
+            "cell": cell,
+            "system": systems[str(cell)],
+            "after_breakage_s": seconds(units, "breakage_frame", "reinit_frame", str(cell)),
+            "after_segment_s": seconds(units, "end_frame", "cross_reinit_frame", str(cell)),
         }
-        seconds = {f"{name}_s": spread(frames.astype("Float64") / rate) for name, frames in waits.items()}
-        rows.append({"cell": cell, "system": systems[str(cell)], **seconds})
-    return rows
+        for cell, units in completed(table).groupby("cell", sort=False)
+    ]
 
 
 def timeline(table: pd.DataFrame, frames: Mapping[str, int]) -> list[dict[str, Any]]:
@@ -151,34 +147,19 @@ def timeline(table: pd.DataFrame, frames: Mapping[str, int]) -> list[dict[str, A
         table: the records.
         frames: frames per sequence of each cell.
     """
+    names = ["unit_id", "index", "onset_frame", "end_frame", "breakage_frame", "reinit_frame", "breakage"]
+    names += ["relocalized", "base_failure", "silent_failure", "dual_failure", "free_frames_to_cross"]
     profiles = []
     for cell, units in completed(table).groupby("cell", sort=False):
-        shown = units.sort_values("index").head(UNITS_PER_CELL_OF_TIMELINE)
-        profiles.append(
-            {
-                "cell": cell,
-                "frames": frames[str(cell)],
-                "units": [_profile(row) for _, row in shown.iterrows()],
-            }
-        )
+        shown = units.sort_values("index").head(UNITS_PER_CELL_OF_TIMELINE)[names]
+        shown = shown.rename(columns={"free_frames_to_cross": "frames_to_cross"})
+        rows = as_data(shown.to_dict("records"))
+        profiles.append({"cell": cell, "frames": frames[str(cell)], "units": rows})
     return profiles
-
-
-def _profile(row: pd.Series) -> dict[str, Any]:
-    names = ("unit_id", "index", "onset_frame", "end_frame", "breakage_frame", "reinit_frame")
-    flags = ("breakage", "relocalized", "base_failure", "silent_failure")
-    profile = {name: as_data(row[name]) for name in (*names, *flags)}
-    return profile | {
-        "dual_failure": as_data(row["dual_failure"]),
-        "frames_to_cross": as_data(row["free_frames_to_cross"]),
-    }
 
 
 def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Position error of the last pose in metres per cell and unit, or None."""
-    cells = (
-        (cell, units.sort_values("index")) for cell, units in completed(table).groupby("cell", sort=False)
-    )
     return [
         {
             "cell": cell,
@@ -188,7 +169,7 @@ def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
             "base_failed": is_true(units["base_failure"]).tolist(),
             "dual_failed": is_true(units["dual_failure"]).tolist(),
         }
-        for cell, units in cells
+        for cell, units in completed(table).sort_values("index", kind="stable").groupby("cell", sort=False)
     ]
 
 

@@ -33,9 +33,6 @@ from dslab.experiments.statistics.world_intervals import (
     way_interval,
 )
 
-STEPS = ("world", "path", "sequence", "run", "arms", "whole")
-"""Steps from Eq. 1 to what is measured, in this order; ``sequence`` stands for the first two."""
-
 
 @dataclass(frozen=True)
 class JudgedCell:
@@ -54,8 +51,8 @@ class JudgedCell:
             worlds, of D also with too few that have it.
         verdict_in_units, verdict_forecast: on Q and D.
         way_in_units, way_forecast: k of Q and D: 0 is Eq. 1, 1 the weakest link.
-        steps: ratios by their names in ``STEPS``; only those that the design can tell and whose denominator
-            is not 0.
+        steps: ratios by the names of ``estimates.chain``; only those that the design can tell and whose
+            denominator is not 0.
         shares: by name ``breakage``, ``dual_failure`` (D_J), ``system_failure`` (S_J), ``mission_failure``
             (M_J), ``base_mission_failure`` and, of unbroken units, ``silent_failure``; those in the records.
     """

@@ -6,9 +6,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dslab.experiments.report.plots.style import GREY, NARROW_IN, bars, log_ticks, new_figure, thread_colour
-from dslab.experiments.statistics.judged import STEPS
+from dslab.experiments.report.plots.style import GREY, bars, log_ticks, panels, plain_ticks, thread_colour
 
+_STEPS = ("world", "path", "sequence", "run", "arms", "whole")
 _NAMES = {"whole": "D / Eq. 1"}
 _LEAST, _MOST = 3.0, 30.0
 """Least and largest end of the axis of ratios; its other end is one over that."""
@@ -24,14 +24,10 @@ def draw_chain(report: dict[str, Any], kind: str, width_in: float) -> Figure | N
         return None
     named = {condition["cell"]: condition for condition in report["conditions"]}
     cells.sort(key=lambda cell: (cell["world"], named[cell["cell"]]["number"], cell["n"]))
-    steps = [step for step in STEPS if any(step in cell["steps"] for cell in cells)]
-    columns = min(2 if width_in > NARROW_IN else 1, len(cells))
-    rows = -(-len(cells) // columns)
-    each = 0.75 + 0.2 * len(steps)
-    figure = new_figure(0.35 + each * rows, width_in)
-    panels = figure.subplots(rows, columns, squeeze=False, sharex=True).ravel()
+    steps = [step for step in _STEPS if any(step in cell["steps"] for cell in cells)]
+    figure, places = panels(len(cells), 2, width_in, 0.75 + 0.2 * len(steps), 0.35, sharex=True)
     limit = _limit(cells)
-    for axes, cell in zip(panels, cells, strict=False):
+    for axes, cell in zip(places, cells, strict=True):
         _draw_cell(axes, cell, steps, limit)
         c = named[cell["cell"]]
         world = cell["world"].replace("_", " ")
@@ -43,8 +39,6 @@ def draw_chain(report: dict[str, Any], kind: str, width_in: float) -> Figure | N
             loc="left",
         )
         axes.tick_params(labelbottom=True, labelsize=8)
-    for empty in panels[len(cells) :]:
-        empty.remove()
     return figure
 
 
@@ -74,6 +68,5 @@ def _draw_cell(axes: Axes, cell: dict[str, Any], steps: list[str], limit: float)
     axes.set(xscale="log", xlim=(1 / limit, limit), ylim=(len(steps) - 0.5, -0.5))
     axes.set_yticks(range(len(steps)), [_NAMES.get(step, step) for step in steps], fontsize=8)
     log_ticks(axes.xaxis, 1 / limit, limit)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    axes.xaxis.set_minor_formatter(lambda value, _: "")
+    plain_ticks(axes.xaxis)
     axes.grid(visible=False, axis="y")

@@ -5,7 +5,6 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
 
 from dslab.experiments.report.conditioning import QUANTITY_WORDS
 from dslab.experiments.report.describe import number
@@ -13,12 +12,12 @@ from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,
-    NARROW_IN,
     ORANGE,
     PURPLE,
     legend_above,
     log_ticks,
-    new_figure,
+    panels,
+    plain_ticks,
 )
 
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE)
@@ -29,13 +28,10 @@ def draw_conditioning(report: dict[str, Any], width_in: float) -> Figure | None:
     found = report["analysis"]["conditioning"]
     if not found:
         return None
-    columns = len(found) if width_in > NARROW_IN else 1
-    rows = len(found) // columns
-    figure = new_figure(0.4 + 3.3 * rows, width_in)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, errors in zip(panels, found, strict=True):
+    figure, places = panels(len(found), len(found), width_in, 3.3, 0.4)
+    for axes, errors in zip(places, found, strict=True):
         _draw_panel(axes, errors, report["conditioning"]["marks"])
-    legend_above(figure, panels[0].get_legend_handles_labels()[0], 4, width_in)
+    legend_above(figure, places[0].get_legend_handles_labels()[0], 4, width_in)
     return figure
 
 
@@ -64,8 +60,7 @@ def _draw_panel(axes: Axes, errors: dict[str, Any], marks: list[dict[str, Any]])
     axes.set_ylabel("error (deg)")
     for axis, limits in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
         log_ticks(axis, *limits)
-        axis.set_major_formatter(lambda value, _: f"{value:g}")
-        axis.set_minor_formatter(NullFormatter())
+        plain_ticks(axis)
 
 
 def _draw_slope(axes: Axes, errors: dict[str, Any]) -> None:

@@ -1,7 +1,8 @@
 """Plots of a report as files in memory."""
 
+import base64
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,6 +32,11 @@ class Image:
     svg: bytes
     width_px: int
     height_px: int
+
+    @property
+    def data_uri(self) -> str:
+        """For a page that stands alone."""
+        return "data:image/svg+xml;base64," + base64.b64encode(self.svg).decode("ascii")
 
 
 @dataclass(frozen=True)
@@ -64,14 +70,14 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
         folder: folder of the experiment, which may hold trajectories.
     """
     paths = read_paths(folder)
-    drawings: Mapping[str, tuple[str, Callable[[float], Figure | None]]] = {
-        **{
-            f"chain_{kind}": (
-                f"Steps from Eq. 1 to the measured failures under {describe_label(kind)}, as ratios.",
-                partial(draw_chain, report, kind),
-            )
-            for kind in dict.fromkeys(cell["kind"] for cell in report["analysis"]["cells"])
-        },
+    drawings: dict[str, tuple[str, Callable[[float], Figure | None]]] = {
+        f"chain_{kind}": (
+            f"Steps from Eq. 1 to the measured failures under {describe_label(kind)}, as ratios.",
+            partial(draw_chain, report, kind),
+        )
+        for kind in dict.fromkeys(cell["kind"] for cell in report["analysis"]["cells"])
+    }
+    drawings |= {
         "repeats": (
             "Sequences by their runs that break and that a thread fails to cross, a grid per condition.",
             partial(draw_repeats, report),
@@ -106,10 +112,10 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
         ),
     }
     with settings():
-        made = ((name, alt, draw(WIDE_IN), draw(NARROW_IN)) for name, (alt, draw) in drawings.items())
+        made = {name: (alt, draw(WIDE_IN), draw(NARROW_IN)) for name, (alt, draw) in drawings.items()}
         return {
             name: rendered(name, alt, wide, narrow)
-            for name, alt, wide, narrow in made
+            for name, (alt, wide, narrow) in made.items()
             if wide is not None and narrow is not None
         }
 

@@ -8,13 +8,12 @@ from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,
-    NARROW_IN,
     ORANGE,
     PALE,
     PURPLE,
     legend_above,
     legend_mark,
-    new_figure,
+    panels,
     percent_axis,
 )
 
@@ -33,14 +32,11 @@ def draw_formulas(report: dict[str, Any], width_in: float) -> Figure | None:
     if not found:
         return None
     named = {condition["cell"]: condition for condition in report["conditions"]}
-    columns = min(2 if width_in > NARROW_IN else 1, len(found))
-    rows = -(-len(found) // columns)
     most = max(len(formulas["cells"]) for formulas in found)
-    figure = new_figure(0.6 + rows * (0.8 + 0.2 * most), width_in)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure, places = panels(len(found), 2, width_in, 0.8 + 0.2 * most, 0.6)
     # One panel per set of worlds beside that of the next n.
     found = sorted(found, key=lambda formulas: (formulas["cells"], formulas["n"]))
-    for axes, formulas in zip(panels, found, strict=False):
+    for axes, formulas in zip(places, found, strict=True):
         axes.axvline(0, color=GREY, linewidth=1)
         for score in formulas["on_dual_failures"]:
             colour, mark = _STYLES[score["name"]]
@@ -51,8 +47,6 @@ def draw_formulas(report: dict[str, Any], width_in: float) -> Figure | None:
         axes.set_title(f"n = {formulas['n']}, {formulas['worlds']} worlds", fontsize=9, loc="left")
         axes.tick_params(axis="x", labelsize=8)
         percent_axis(axes.xaxis)
-    for empty in panels[len(found) :]:
-        empty.remove()
     told = {score["name"] for formulas in found for score in formulas["on_dual_failures"]}
     marks = [legend_mark(colour, name, mark) for name, (colour, mark) in _STYLES.items() if name in told]
     legend_above(figure, marks, 5, width_in)

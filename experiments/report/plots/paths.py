@@ -11,7 +11,7 @@ from dslab.experiments.report.plots.style import (
     NARROW_IN,
     ORANGE,
     legend_above,
-    new_figure,
+    panels,
     wrapped,
 )
 
@@ -35,11 +35,9 @@ def draw_paths(
     shown: list[tuple[str, dict[str, Any]]] = [(unit, own) for unit, own in paths.items() if "truth" in own]
     if not shown:
         return None
-    columns = min(_COLUMNS if width_in > NARROW_IN else 1, len(shown))
-    rows = -(-len(shown) // columns)
-    figure = new_figure(0.5 + 2.8 * rows, 2.9 * columns)
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes, (unit, own) in zip(panels, shown, strict=False):
+    figure, places = panels(len(shown), _COLUMNS, width_in, 2.8, 0.5)
+    figure.set_figwidth(2.9 * min(_COLUMNS if width_in > NARROW_IN else 1, len(shown)))
+    for axes, (unit, own) in zip(places, shown, strict=True):
         ground = np.sort(np.argsort(np.nanmax(own["truth"], 0) - np.nanmin(own["truth"], 0))[1:])
         for which, style in _STYLES.items():
             if which in own:
@@ -47,8 +45,6 @@ def draw_paths(
         axes.set_title(wrapped(names.get(unit, unit), width_in), fontsize=9)
         axes.set_aspect("equal", adjustable="datalim")
         axes.tick_params(labelsize=7)
-    for empty in panels[len(shown) :]:
-        empty.remove()
-    panels[0].set_ylabel("m")
-    legend_above(figure, panels[0].get_legend_handles_labels()[0], 3, width_in)
+    places[0].set_ylabel("m")
+    legend_above(figure, places[0].get_legend_handles_labels()[0], 3, width_in)
     return figure

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,7 +14,6 @@ from matplotlib.ticker import LogLocator, NullFormatter
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072B2", "#D55E00", "#00795A", "#A8447F", "#56B4E9"
 GREY, PALE = "#6b7177", "#b4bcc4"
 THREAD_COLOURS = (ORANGE, GREEN, PURPLE, SKY)
-THREAD_MARKS = ("o", "^", "s", "D")
 WIDE_IN, NARROW_IN = 7.6, 3.6
 """Widths of the two drawings of a plot: for a page, and for a telephone's."""
 
@@ -44,6 +44,28 @@ def new_figure(height_in: float, width_in: float) -> Figure:
     return figure
 
 
+def panels(
+    count: int, columns: int, width_in: float, height_in: float, heading_in: float, **shared: Any
+) -> tuple[Figure, list[Axes]]:
+    """Create a figure of so many panels in rows, one below the other on a narrow page.
+
+    Args:
+        count: of panels.
+        columns: at most, on a wide page.
+        width_in: of the figure.
+        height_in: of a row.
+        heading_in: room over the rows.
+        shared: arguments of ``Figure.subplots``.
+    """
+    columns = min(columns if width_in > NARROW_IN else 1, count)
+    rows = -(-count // columns)
+    figure = new_figure(heading_in + height_in * rows, width_in)
+    grid = figure.subplots(rows, columns, squeeze=False, **shared).ravel()
+    for empty in grid[count:]:
+        empty.remove()
+    return figure, list(grid[:count])
+
+
 def thread_colour(number: int) -> str:
     """Colour of recovery thread j and of results for n = j."""
     return THREAD_COLOURS[(number - 1) % len(THREAD_COLOURS)]
@@ -52,6 +74,28 @@ def thread_colour(number: int) -> str:
 def bars(estimate: float, low: float, high: float) -> list[list[float]]:
     """Error bars for matplotlib: distances, never negative."""
     return [[max(estimate - low, 0.0)], [max(high - estimate, 0.0)]]
+
+
+def draw_share(axes: Axes, at: float, share: dict[str, Any], colour: str, mark: str) -> None:
+    """Draw a share with its interval."""
+    ends = bars(share["value"], share["low"], share["high"])
+    axes.errorbar(at, share["value"], yerr=ends, fmt=mark, color=colour, markersize=4.5, elinewidth=1)
+
+
+def shares_over(axes: Axes, labels: Sequence[str]) -> None:
+    """Set up axes for shares over doses of these names."""
+    axes.set_xticks(range(len(labels)), labels, fontsize=8)
+    axes.set_xlim(-0.5, len(labels) - 0.5)
+    axes.set_ylim(-0.03, 1.03)
+    percent_axis(axes.yaxis)
+    axes.tick_params(axis="y", labelsize=8, labelleft=True)
+    axes.grid(visible=False, axis="x")
+
+
+def plain_ticks(axis: Any) -> None:
+    """Write the numbers of major ticks in full, and none of minor ones."""
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def percent_axis(axis: Any) -> None:

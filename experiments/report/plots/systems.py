@@ -10,15 +10,14 @@ from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
     GREY,
-    NARROW_IN,
     ORANGE,
     PURPLE,
     SKY,
-    bars,
+    draw_share,
     legend_above,
     legend_mark,
-    new_figure,
-    percent_axis,
+    panels,
+    shares_over,
 )
 from dslab.scenarios.describe import plain
 
@@ -35,11 +34,9 @@ def draw_systems(report: dict[str, Any], width_in: float) -> Figure | None:
     points = [point | named[point["cell"]] for point in report["systems"]["shares"]]
     names = report["systems"]["names"]
     shown = list(dict.fromkeys(_row(point) for point in points if point["field"]))
-    columns = len(_FAILURES) if width_in > NARROW_IN else 1
-    figure = new_figure(0.7 + 2.0 * len(shown) * len(_FAILURES) / columns, width_in)
-    panels = figure.subplots(len(shown) * len(_FAILURES) // columns, columns, squeeze=False, sharey=True)
     each = [(row, failure) for row in shown for failure in _FAILURES]
-    for axes, (row, failure) in zip(panels.ravel(), each, strict=True):
+    figure, places = panels(len(each), len(_FAILURES), width_in, 2.0, 0.7, sharey=True)
+    for axes, (row, failure) in zip(places, each, strict=True):
         own = [p for p in points if _row(p) == row]
         sham = [p for p in points if not p["field"] and _place(p) == row[1:]]
         _draw(axes, [*sham, *own], failure, names)
@@ -79,14 +76,6 @@ def _draw(axes: Axes, points: list[dict[str, Any]], failure: str, names: list[st
         colour, mark = _style(number)
         axes.plot(places, [s["value"] for s in shares], color=colour, linewidth=0.8, alpha=0.6)
         for place, share in zip(places, shares, strict=True):
-            ends = bars(share["value"], share["low"], share["high"])
-            axes.errorbar(
-                place, share["value"], yerr=ends, fmt=mark, color=colour, markersize=4.5, elinewidth=1
-            )
+            draw_share(axes, place, share, colour, mark)
     values = {point["image"]: plain(point["value"]) if point["field"] else "none" for point in points}
-    axes.set_xticks(range(len(images)), [values[image] for image in images], fontsize=8)
-    axes.set_xlim(-0.5, len(images) - 0.5)
-    axes.set_ylim(-0.03, 1.03)
-    percent_axis(axes.yaxis)
-    axes.tick_params(axis="y", labelsize=8, labelleft=True)
-    axes.grid(visible=False, axis="x")
+    shares_over(axes, [values[image] for image in images])

@@ -17,6 +17,7 @@ from dslab.experiments.report.plots.style import (
     SKY,
     legend_above,
     new_figure,
+    panels,
 )
 
 _EXPOSED: dict[str, Any] = {"facecolor": "none", "edgecolor": "#222222", "linewidth": 0.9, "zorder": 3}
@@ -35,11 +36,10 @@ def draw_timeline(report: dict[str, Any], width_in: float) -> Figure | None:
     cells = [cell for cell in report["timeline"] if cell["units"]]
     if not cells:
         return None
-    columns = min(_COLUMNS if width_in > NARROW_IN else 1, len(cells))
-    rows = -(-len(cells) // columns)
-    figure = new_figure(0.9 + rows * 2.3, max(3.2 * columns, NARROW_IN))
+    figure, places = panels(len(cells), _COLUMNS, width_in, 2.3, 0.9)
+    figure.set_figwidth(max(3.2 * min(_COLUMNS if width_in > NARROW_IN else 1, len(cells)), NARROW_IN))
     names = {c["cell"]: f"{c['number']}. {c['name']}" for c in report["conditions"]}
-    for axes, cell in zip(_panels(figure, rows, columns, len(cells)), cells, strict=True):
+    for axes, cell in zip(places, cells, strict=True):
         for place, unit in enumerate(cell["units"]):
             _draw_trial(axes, place, unit, cell["frames"])
         axes.set_title(names[cell["cell"]], fontsize=9)
@@ -50,7 +50,7 @@ def draw_timeline(report: dict[str, Any], width_in: float) -> Figure | None:
         axes.set_ylabel("trial", fontsize=9)
     handles = [Patch(color=colour, label=part) for part, colour in _PARTS.items()]
     handles.append(Patch(**_EXPOSED, label="exposed segment"))
-    legend_above(figure, handles, 3, max(3.2 * columns, NARROW_IN))
+    legend_above(figure, handles, 3, figure.get_figwidth())
     return figure
 
 
@@ -94,19 +94,19 @@ def draw_end_errors(report: dict[str, Any], width_in: float) -> Figure | None:
         return None
     most = max(len(cell["index"]) for cell in cells)
     figure = new_figure(2.2 + min(0.09 * most, 4.5), width_in)
-    panels = figure.subplots(1, 2, sharey=True)
+    beside = figure.subplots(1, 2, sharey=True)
     norm = LogNorm(max(min(values), 1e-3), max(*values, 2e-3))
     image = None
     numbers = {c["cell"]: str(c["number"]) for c in report["conditions"]}
-    for axes, name, title in zip(panels, ("base", "dual"), ("base", "Dual-SLAM"), strict=True):
+    for axes, name, title in zip(beside, ("base", "dual"), ("base", "Dual-SLAM"), strict=True):
         image = _heat(axes, cells, name, most, norm)
         axes.set_title(title, fontsize=10)
         axes.set_xticks(range(len(cells)), [numbers[c["cell"]] for c in cells], fontsize=8)
         axes.set_xlabel("condition", fontsize=9)
         axes.grid(visible=False)
-    panels[0].set_ylabel("trial")
+    beside[0].set_ylabel("trial")
     if image is not None:
-        figure.colorbar(image, ax=list(panels), label="error of the last pose (m)", shrink=0.9)
+        figure.colorbar(image, ax=list(beside), label="error of the last pose (m)", shrink=0.9)
     failed = [
         Patch(facecolor="#222222", label="failed"),
         Patch(facecolor="#d8d8d8", label="no last pose or truth"),
@@ -132,10 +132,3 @@ def _heat(axes: Axes, cells: list[dict[str, Any]], name: str, most: int, norm: L
         aspect="auto",
         interpolation="nearest",
     )
-
-
-def _panels(figure: Figure, rows: int, columns: int, used: int) -> list[Axes]:
-    panels = list(np.ravel(figure.subplots(rows, columns, squeeze=False)))
-    for empty in panels[used:]:
-        empty.remove()
-    return panels[:used]
