@@ -23,7 +23,10 @@ CUT = """() => {
     const cut = [...document.querySelectorAll("body, body *")].filter(e => !e.closest("svg"))
         .filter(e => e.scrollWidth > e.clientWidth + 1 && hides(e) && shown(e) && e.innerText?.trim());
     const over = document.documentElement.scrollWidth - window.innerWidth;
-    return [...cut.map(e => `cut: <${e.tagName} class="${e.className}"> ${e.innerText.slice(0, 60)}`),
+    const plots = [...document.images].filter(i => i.src.startsWith("data:") && shown(i))
+        .filter(i => i.width > i.naturalWidth + 1 || i.height < 100);
+    return [...plots.map(i => `not shown, or blown up: ${i.alt}`),
+            ...cut.map(e => `cut: <${e.tagName} class="${e.className}"> ${e.innerText.slice(0, 60)}`),
             ...(over > 0 ? [`${over} px wider than the window`] : [])];
 }"""
 LINKS = "() => [...document.querySelectorAll('a[href]')].map(a => a.getAttribute('href'))"

@@ -14,11 +14,7 @@ _TEMPLATES = Path(__file__).with_name("templates")
 
 
 def comparison_html(content: dict[str, Any]) -> str:
-    """Write the HTML text: self-contained, without a script.
-
-    Args:
-        content: from ``comparison_content``.
-    """
+    """Write the HTML text: self-contained, without a script."""
     with settings():
         plots = [_plots(sequence, content["thresholds"]) for sequence in content["sequences"]]
     filters = {"spread": spread_text}

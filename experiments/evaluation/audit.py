@@ -43,14 +43,9 @@ class LossAudit:
     Attributes:
         true_loss_frame: first frame from which no pose is within the bounds until the end of the window; None
             if not lost.
-        error_m, rotation_error_deg: of the last pose in the window; None without a pose.
-        reference_poses: number of poses in the alignment.
     """
 
     true_loss_frame: int | None
-    error_m: float | None
-    rotation_error_deg: float | None
-    reference_poses: int
 
 
 @dataclass(frozen=True)
@@ -105,12 +100,7 @@ def audit_loss(
     errors = pose_errors(window, alignment, along_m[window.frames] - along_m[start_frame], bounds)
     # Frames without truth are passed over.
     frames = onset_frame + np.flatnonzero(truth.known[onset_frame : end_frame + 1])
-    return LossAudit(
-        lost_from(frames, ~np.isin(frames, window.frames[~errors.false])),
-        float(errors.position_m[-1]) if len(window) else None,
-        float(errors.rotation_deg[-1]) if len(window) else None,
-        len(reference),
-    )
+    return LossAudit(lost_from(frames, ~np.isin(frames, window.frames[~errors.false])))
 
 
 def lost_from(frames: np.ndarray, wrong: np.ndarray) -> int | None:

@@ -49,14 +49,7 @@ class LossFinding:
 def loss_findings(
     record: RunRecord, outcomes: list[BreakageOutcome], live: LiveAudit, bounds: AuditBounds
 ) -> list[LossFinding]:
-    """Audit true loss in every injected segment, at every other breakage, and where nothing was declared.
-
-    Args:
-        record: a run over a sequence with truth.
-        outcomes: its breakages.
-        live: judgement of its live poses.
-        bounds: of right poses.
-    """
+    """Audit true loss in every injected segment, at every other breakage, and where nothing was declared."""
     stamps_s, segments = record.sequence.stamps_s, record.sequence.segments
     findings, seen = [], set()
     for index, segment in enumerate(segments):

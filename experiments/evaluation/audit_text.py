@@ -45,9 +45,10 @@ def runs_text(summaries: Sequence[dict[str, Any]]) -> str:
 
 def silence_parts(summary: dict[str, Any]) -> list[str]:
     """Silent losses and corrupted maps, or that they were not looked for and why."""
-    silent, why = silent_losses(summary), unlooked_for(summary)
+    silent, why, maps = silent_losses(summary), unlooked_for(summary), summary["audit"]["maps"]
     corrupted = [_corrupted(found) for found in corrupted_maps(summary)]
-    why_not_maps = _unlooked_maps(summary)
+    judged = any(found["corrupted"] is not None for found in maps)
+    why_not_maps = "" if judged else maps[0]["reason"] if maps else "no map was left"
     if why and why_not_maps and not silent:
         return [f"silent losses and corrupted maps not looked for: {why}"]
     losses = count(len(silent), "silent loss", "silent losses")
@@ -82,14 +83,6 @@ def unlooked_for(summary: dict[str, Any]) -> str | None:
     if audit is None:
         return _NO_TRUTH
     return None if audit["live"]["judged"] else audit["live"]["reason"]
-
-
-def _unlooked_maps(summary: dict[str, Any]) -> str:
-    """Why no final map could be judged; empty if one could."""
-    maps = summary["audit"]["maps"]
-    if any(found["corrupted"] is not None for found in maps):
-        return ""
-    return maps[0]["reason"] if maps else "no map was left"
 
 
 def count(number: int, one: str, many: str) -> str:

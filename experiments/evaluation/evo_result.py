@@ -11,6 +11,7 @@ import io
 import json
 import zipfile
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -114,14 +115,21 @@ def read_evo_result(path: Path) -> EvoResult:
     return EvoResult(info, known, errors)
 
 
-def _json(path: Path, archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
-    where = f"{path}: {name}"
-    if name not in archive.namelist():
+def _member(path: Path, archive: zipfile.ZipFile, names: Iterable[str], most_bytes: int) -> tuple[str, bytes]:
+    """The first of some names that the archive has: where it stands, and its content."""
+    found = [name for name in names if name in archive.namelist()]
+    where = f"{path}: {(found or list(names))[0]}"
+    if not found:
         raise InputError(where, "is missing", _REMEDY)
-    if archive.getinfo(name).file_size > _MOST_TEXT_BYTES:
+    if archive.getinfo(found[0]).file_size > most_bytes:
         raise InputError(where, "is too long", _REMEDY)
+    return where, archive.read(found[0])
+
+
+def _json(path: Path, archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
+    where, data = _member(path, archive, (name,), _MOST_TEXT_BYTES)
     try:
-        content = json.loads(archive.read(name))
+        content = json.loads(data)
     except (ValueError, RecursionError):
         raise InputError(where, "is no valid JSON", _REMEDY) from None
     if not isinstance(content, dict):
@@ -131,24 +139,16 @@ def _json(path: Path, archive: zipfile.ZipFile, name: str) -> dict[str, Any]:
 
 def _number(path: Path, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise InputError(
-            f"{path}: {_STATS}: {name}", f"{value!r} is no finite number", "write the file again"
-        )
+        where = f"{path}: {_STATS}: {name}"
+        raise InputError(where, f"{value!r} is no finite number", "write the file again")
     return float(value)
 
 
 def _errors(path: Path, archive: zipfile.ZipFile) -> np.ndarray:
     """(n,) float64 errors, n at least 1."""
-    name = next(
-        (f"{_ERRORS}{end}" for end in (".npy", ".npz") if f"{_ERRORS}{end}" in archive.namelist()), ""
-    )
-    if not name:
-        raise InputError(f"{path}: {_ERRORS}.npy", "is missing", _REMEDY)
-    where = f"{path}: {name}"
-    if archive.getinfo(name).file_size > _MOST_ARRAY_BYTES:
-        raise InputError(where, "is too long", _REMEDY)
+    where, data = _member(path, archive, (f"{_ERRORS}.npy", f"{_ERRORS}.npz"), _MOST_ARRAY_BYTES)
     try:
-        errors = np.load(io.BytesIO(archive.read(name)), allow_pickle=False)
+        errors = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, SyntaxError):
         raise InputError(where, "is no readable array", _REMEDY) from None
     if not isinstance(errors, np.ndarray) or errors.ndim != 1 or errors.dtype.kind not in "fiu":

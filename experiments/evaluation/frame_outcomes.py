@@ -28,16 +28,11 @@ def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
     posed = posed_frames(record)
     first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
     fused_later = known_from(record.events, len(posed)) < len(posed)
+    live = [is_tracked(r) or f < first or not fused_later[f] for f, r in enumerate(record.results)]
     return [
-        _frame_outcome(bool(posed[f]), is_tracked(r) or f < first or not fused_later[f])
-        for f, r in enumerate(record.results)
+        FrameOutcome.NONE if not has else FrameOutcome.TRACKED if at_once else FrameOutcome.RECOVERED
+        for has, at_once in zip(posed, live, strict=True)
     ]
-
-
-def _frame_outcome(posed: bool, live: bool) -> FrameOutcome:
-    if not posed:
-        return FrameOutcome.NONE
-    return FrameOutcome.TRACKED if live else FrameOutcome.RECOVERED
 
 
 def known_from(events: Sequence[Event], frames: int) -> np.ndarray:

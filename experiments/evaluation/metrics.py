@@ -265,10 +265,6 @@ def scale_along(pairs: PosePairs, stretches: int = 10) -> ScaleAlong | Undefined
     It needs no alignment. Lengths of steps grow with the noise of the positions: it says something where the
     camera moves much further per frame than that, as on a drive.
 
-    Args:
-        pairs: estimate and truth.
-        stretches: number of stretches, >= 1.
-
     Returns:
         The scale; Undefined if the first or last quarter of the path holds no step, or no estimated motion.
     """
@@ -295,12 +291,7 @@ def path_length_m(T_world_cam: np.ndarray) -> float:
 
 
 def coverage(frames: np.ndarray, T_world_cam: np.ndarray) -> Coverage:
-    """Length of true path covered by the posed frames, and its share of the whole.
-
-    Args:
-        frames: (n,) int indices of the posed frames.
-        T_world_cam: (N, 4, 4) float64 true poses of all frames, NaN where unknown.
-    """
+    """Length of true path (N, 4, 4) covered by the (n,) posed frames, and its share of the whole."""
     steps = np.nan_to_num(np.linalg.norm(np.diff(T_world_cam[:, :3, 3], axis=0), axis=1))
     posed = np.zeros(len(T_world_cam), bool)
     posed[frames] = True

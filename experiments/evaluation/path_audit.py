@@ -136,20 +136,20 @@ def _windows(
         before = (times_s >= onset_s - bounds.reference_s - _ROUNDING_S) & (times_s < onset_s)
         after = (times_s >= onset_s) & (times_s <= onset_s + bounds.reference_s)
         if before.any():
-            yield _window(piece.where(before | after), int(before.sum()), whole, stamps_s, along_m, bounds)
+            reference, followed = piece.where(before), piece.where(after)
+            yield _window(piece.where(before | after), reference, followed, whole, stamps_s, along_m, bounds)
 
 
 def _window(
     window: PosePairs,
-    references: int,
+    reference: PosePairs,
+    followed: PosePairs,
     whole: Similarity | Undefined,
     stamps_s: np.ndarray,
     along_m: np.ndarray,
     bounds: AuditBounds,
 ) -> _Window:
-    """Judge poses by the first of them, of this number, unless all lie right in the path as a whole."""
-    is_reference = np.arange(len(window)) < references
-    reference, followed = window.where(is_reference), window.where(~is_reference)
+    """Judge poses by the first of them, unless all lie right in the path as a whole."""
     none, frames = np.empty(0, int), window.frames
     first, last = int(frames[0]), int(frames[-1])
 
@@ -160,13 +160,13 @@ def _window(
         return _Window(none, -1, None, frames, lacks)
     # Within the reference, as in its own alignment, the bound is that over all of it.
     path_m = along_m[frames] - along_m[first]
-    extent_m = np.maximum(path_m, path_m[references - 1])
+    extent_m = np.maximum(path_m, path_m[len(reference) - 1])
     if isinstance(whole, Similarity) and not pose_errors(window, whole, extent_m, bounds).false.any():
         return _Window(frames, last, None, none, "")
     own = fit(reference, bounds)
     if isinstance(own, Undefined) or own.is_false(bounds):
         return _Window(reference.frames, -1, first, followed.frames, _UNFIT)
-    found = pose_errors(followed, own.alignment, extent_m[references:], bounds)
+    found = pose_errors(followed, own.alignment, extent_m[len(reference) :], bounds)
     lost = lost_from(followed.frames, found.false)
     if not lasts(lost):  # the next window will tell of a loss at the end of this one
         return _Window(frames, last if lost is None else lost - 1, None, none, "")

@@ -1,6 +1,7 @@
 """View overlap on either side of a stress, from exact depth: can images alone bring the two together?"""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -8,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from dslab.scenarios.spec import Scenario
-from dslab.sim.depth_thumbnails import DepthOf, depth_renderer, thumbnail_camera
+from dslab.sim.depth_thumbnails import depth_renderer, thumbnail_camera
 from dslab.sim.frame_plan import RenderBackend
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.shared_view import seen_share
@@ -111,64 +112,47 @@ def best_overlap(
         return BestOverlap(0.0, None)
     camera = thumbnail_camera(scenario.camera)
     with depth_renderer(scenario, camera, cache_dir=cache_dir, backend=backend) as depth_of:
-        overlaps = _Overlaps(depth_of, camera, T_world_cam, before, after)
-        return overlaps.best()
+        depth = cache(lambda frame: depth_of(T_world_cam[frame]))
+
+        def overlap(pair: tuple[int, int]) -> float:
+            a, b = before[pair[0]], after[pair[1]]
+            return view_overlap(depth(a), T_world_cam[a], depth(b), T_world_cam[b], camera)
+
+        (i, j), most = _largest(overlap, len(before), len(after))
+    return BestOverlap(most, (before[i], after[j]))
 
 
-class _Overlaps:
-    """Overlaps of the pairs of frames of two sides, each computed when first asked for."""
+def _largest(
+    overlap: Callable[[tuple[int, int]], float], rows: int, columns: int
+) -> tuple[tuple[int, int], float]:
+    """The best of rows times columns pairs, of equal ones the earliest, and its overlap."""
+    known: dict[tuple[int, int], float] = {}
 
-    def __init__(
-        self,
-        depth_of: DepthOf,
-        camera: Intrinsics,
-        T_world_cam: np.ndarray,
-        before: Sequence[int],
-        after: Sequence[int],
-    ) -> None:
-        self._depth_of, self._camera, self._poses = depth_of, camera, T_world_cam
-        self._before, self._after = before, after
-        self._depths: dict[int, np.ndarray] = {}
-        self._known: dict[tuple[int, int], float] = {}
+    def at(pair: tuple[int, int]) -> float:
+        if pair not in known:
+            known[pair] = overlap(pair)
+        return known[pair]
 
-    def best(self) -> BestOverlap:
-        """The best pair of frames; of equal ones the earliest."""
-        (rows, row_step), (columns, column_step) = _spread(len(self._before)), _spread(len(self._after))
-        for pair in product(rows, columns):
-            self._at(pair)
-        for pair in sorted(self._known, key=self._rank)[:_REFINED]:
-            self._climb(pair, row_step, column_step)
-        i, j = min(self._known, key=self._rank)
-        return BestOverlap(self._known[i, j], (self._before[i], self._after[j]))
+    def ranked() -> list[tuple[int, int]]:
+        return sorted(known, key=lambda pair: (-known[pair], pair))
 
-    def _climb(self, pair: tuple[int, int], row_step: int, column_step: int) -> None:
+    def climb(pair: tuple[int, int], row_step: int, column_step: int) -> None:
         """Look about a pair, go on from the best one, and halve the steps where there is none better."""
         while row_step > 1 or column_step > 1:
             row_step, column_step = (row_step + 1) // 2, (column_step + 1) // 2
             centre = None
             while centre != pair:
                 centre = pair
-                around = product(
-                    _about(centre[0], row_step, len(self._before)),
-                    _about(centre[1], column_step, len(self._after)),
-                )
-                pair = max(around, key=lambda near: (self._at(near), near == centre))
+                around = product(_about(pair[0], row_step, rows), _about(pair[1], column_step, columns))
+                pair = max(around, key=lambda near, centre=centre: (at(near), near == centre))
 
-    def _rank(self, pair: tuple[int, int]) -> tuple[float, tuple[int, int]]:
-        return -self._known[pair], pair
-
-    def _at(self, pair: tuple[int, int]) -> float:
-        if pair not in self._known:
-            a, b = self._before[pair[0]], self._after[pair[1]]
-            self._known[pair] = view_overlap(
-                self._depth(a), self._poses[a], self._depth(b), self._poses[b], self._camera
-            )
-        return self._known[pair]
-
-    def _depth(self, frame: int) -> np.ndarray:
-        if frame not in self._depths:
-            self._depths[frame] = self._depth_of(self._poses[frame])
-        return self._depths[frame]
+    (coarse_rows, row_step), (coarse_columns, column_step) = _spread(rows), _spread(columns)
+    for pair in product(coarse_rows, coarse_columns):
+        at(pair)
+    for pair in ranked()[:_REFINED]:
+        climb(pair, row_step, column_step)
+    best = ranked()[0]
+    return best, known[best]
 
 
 def _with_pose(frames: Iterable[int], T_world_cam: np.ndarray) -> list[int]:

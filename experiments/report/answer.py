@@ -13,6 +13,11 @@ LEAST_WORLDS = 10
 
 _KINDS_WITH_DOSES = 4
 _READINGS = ("of_sequences", "of_averages")
+_REFUTED = ("optimistic", "pessimistic")
+_ASKED = (
+    "Asked: does Dual-SLAM fail as rarely as Eq. 1 of its paper says, Pr(failure) = p₀ · prⁿ, as if the "
+    "breakage of tracking (p₀) and the failure of each of n recovery threads (pr) were independent?"
+)
 MEANINGS = {
     "optimistic": "Eq. 1 predicted too few failures",
     "pessimistic": "Eq. 1 predicted too many",
@@ -40,28 +45,32 @@ class Answer:
 
 
 def answer(results: dict[str, Any]) -> Answer:
-    """Answer the question of an experiment from its figures.
-
-    Args:
-        results: figures as `report_content` returns them and report.json holds them.
-    """
+    """Answer the question of an experiment from its figures."""
     analysis = results["analysis"]
     told = confirmed(analysis["cells"])
     if not results["asks_eq1"]:
-        told = (
+        said = (
             "Eq. 1 is about recovery threads, which none of these systems has: they stand beside each other."
         )
-        return Answer("Not asked: no system has recovery threads.", [told], [])
+        return Answer("Not asked: no system has recovery threads.", [said], [])
     if not results["free_arm"]:
         return Answer("Eq. 1 is not asked: only the crossing arm ran.", [*_crossings(results)], [])
-    asked = [_asked(), _tried(results)]
+    asked = [_ASKED, _tried(results)]
     if not told:
         return Answer("No result yet: no trial is completed.", asked, [])
-    verdicts = [*_verdicts(results, told), _basis(results, told), *_readings(results, told)]
-    sentences = [*asked, *verdicts, _certainty(results)]
+    sentences = [*asked, *_verdicts(results, told)]
+    sentences.append(
+        "These are the conditions named before the run; the others are exploratory."
+        if any(cell["confirmatory"] for cell in told)
+        else "No condition was named before the run: all are exploratory."
+    )
+    sentences += [*_readings(results, told), _certainty(results)]
     if results["reanalysed"]:
         sentences.append("Reanalysed: the spec mixed kinds of world in a condition; they are split here.")
-    headline = " ".join((*_independence(told), _headline(told)))
+    headline, refuted = _headline(told), sum(cell["verdict_in_units"] in _REFUTED for cell in told)
+    if refuted:
+        tests = f"{refuted} of {len(told)} tests"
+        headline = f"Breakages and failures of the threads are not independent in {tests}. {headline}"
     return Answer(headline, [*sentences, _chance(analysis), _limits(results)], analysis["kinds_of_world"])
 
 
@@ -70,42 +79,30 @@ def confirmed(cells: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return [cell for cell in cells if cell["confirmatory"]] or cells
 
 
-def _independence(told: list[dict[str, Any]]) -> Iterable[str]:
-    """The primary test, where it has found something."""
-    refuted = sum(cell["verdict_in_units"] in ("optimistic", "pessimistic") for cell in told)
-    if refuted:
-        yield f"Breakages and failures of the threads are not independent in {refuted} of {len(told)} tests."
-
-
 def _headline(told: list[dict[str, Any]]) -> str:
     """What the forecast of Eq. 1 is worth."""
     counts, total = Counter(cell["verdict_forecast"] for cell in told), len(told)
     wrong = [
         f"too {few} failures in {counts[verdict]}"
-        for verdict, few in (("optimistic", "few"), ("pessimistic", "many"))
+        for verdict, few in zip(_REFUTED, ("few", "many"), strict=True)
         if counts[verdict]
     ]
     if wrong:
         return f"Eq. 1 predicted {listed(wrong)} of {plural(total, 'test')}."
+    tests = plural(total, "test")
     if counts["consistent"]:
-        return (
-            f"Eq. 1 agrees in {counts['consistent']} of {plural(total, 'test')}, and in none it is refuted."
-        )
+        return f"Eq. 1 agrees in {counts['consistent']} of {tests}, and in none it is refuted."
     if counts["undecided"]:
         rest = " The others could not be tested." if counts["undecided"] < total else ""
-        return f"Undecided: too few worlds in {counts['undecided']} of {plural(total, 'test')}.{rest}"
+        return f"Undecided: too few worlds in {counts['undecided']} of {tests}.{rest}"
     if counts["saturated"]:
-        return (
-            f"No verdict on Eq. 1: in {plural(counts['saturated'], 'test')} any formula is right, and "
-            f"{counts['untested']} could not be made."
-            if counts["untested"]
-            else "No verdict on Eq. 1: where all fails, any formula is right."
-        )
+        some = f"in {plural(counts['saturated'], 'test')} any formula is right, and {counts['untested']}"
+        why = f"{some} could not be made" if counts["untested"] else "where all fails, any formula is right"
+        return f"No verdict on Eq. 1: {why}."
     most = max(cell["worlds"] for cell in told)
     if most < LEAST_WORLDS:
-        return (
-            f"Untested: a test takes {LEAST_WORLDS} worlds that break and fail to recover; {most} were run."
-        )
+        takes = f"a test takes {LEAST_WORLDS} worlds that break and fail to recover"
+        return f"Untested: {takes}; {most} were run."
     return f"Untested: in no condition did {LEAST_WORLDS} worlds both break and fail to recover."
 
 
@@ -121,12 +118,9 @@ def _crossings(results: dict[str, Any]) -> Iterable[str]:
     if failed:
         yield f"Failed, of the trials of a condition: {listed(failed)}."
     for name, shares in list(of.items())[1:]:
-        added = [share for share in shares if share["adds"] is not None]
-        if added:
-            crossed, needed = (
-                _range(s["adds"] for s in added),
-                plural(sum(s["needed"] for s in added), "trial"),
-            )
+        if added := [share for share in shares if share["adds"] is not None]:
+            crossed = _range(share["adds"] for share in added)
+            needed = plural(sum(share["needed"] for share in added), "trial")
             yield f"Where all before it fail, in {needed}, {name} crosses {crossed} of a condition's."
     yield _certainty(results)
     yield _limits(results)
@@ -137,28 +131,18 @@ def _range(shares: Iterable[dict[str, Any]]) -> str:
     return " to ".join(percent(value) for value in dict.fromkeys((min(values), max(values))))
 
 
-def _asked() -> str:
-    return (
-        "Asked: does Dual-SLAM fail as rarely as Eq. 1 of its paper says, Pr(failure) = p₀ · prⁿ, as if the "
-        "breakage of tracking (p₀) and the failure of each of n recovery threads (pr) were independent?"
-    )
-
-
 def _tried(results: dict[str, Any]) -> str:
     analysis = results["analysis"]
     kinds = listed(list(results["worlds_of_kinds"]))
     worlds = plural(analysis["worlds"], "rendered world") + (f" ({kinds})" if kinds else "")
+    found = results["conditions"]
+    stress = list(dict.fromkeys(condition["kind"] for condition in found if condition["dose"] != "none"))
+    few = len(stress) <= _KINDS_WITH_DOSES
+    tried = listed([describe_stress(found, kind) if few else describe_label(kind) for kind in stress])
     return (
-        f"Tried: {_stress(results['conditions'])}, in {plural(analysis['units'], 'trial')} in {worlds}, with "
+        f"Tried: {tried}, in {plural(analysis['units'], 'trial')} in {worlds}, with "
         f"the recovery threads {', then '.join(thread_names(results))}."
     )
-
-
-def _stress(found: list[dict[str, Any]]) -> str:
-    """Kinds of degradation, with their doses if there are few."""
-    kinds = list(dict.fromkeys(condition["kind"] for condition in found if condition["dose"] != "none"))
-    few = len(kinds) <= _KINDS_WITH_DOSES
-    return listed([describe_stress(found, kind) if few else describe_label(kind) for kind in kinds])
 
 
 def _verdicts(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[str]:
@@ -191,12 +175,6 @@ def _readings(results: dict[str, Any], told: list[dict[str, Any]]) -> Iterable[s
         )
 
 
-def _basis(results: dict[str, Any], told: list[dict[str, Any]]) -> str:
-    if any(cell["confirmatory"] for cell in told):
-        return "These are the conditions named before the run; the others are exploratory."
-    return "No condition was named before the run: all are exploratory."
-
-
 def _certainty(results: dict[str, Any]) -> str:
     worlds = results["worlds_of_kinds"]
     each = listed([f"{plural(count, 'world')} of kind {world}" for world, count in worlds.items()])
@@ -218,16 +196,12 @@ def _chance(analysis: dict[str, Any]) -> str:
 
 def _limits(results: dict[str, Any]) -> str:
     aside, units = results["set_aside"], results["units"]
-    left_out = [
-        f"{plural(aside['void_lead_ins'], 'lead-in')} that ended without a healthy map"
-        if aside["void_lead_ins"]
-        else "",
-        f"{plural(units['unexposed'], 'trial')} whose stress did not act" if units["unexposed"] else "",
-        f"{plural(units['errors'], 'trial')} that ended in an error of the machine"
-        if units["errors"]
-        else "",
-    ]
-    without = listed([part for part in left_out if part])
+    left_out = (
+        (aside["void_lead_ins"], "lead-in", "that ended without a healthy map"),
+        (units["unexposed"], "trial", "whose stress did not act"),
+        (units["errors"], "trial", "that ended in an error of the machine"),
+    )
+    without = listed([f"{plural(count, noun)} {what}" for count, noun, what in left_out if count])
     return (
         "Not said: anything about real footage, other cameras, or worlds and doses that were not tried."
         + (f" Left out: {without}." if without else "")

@@ -29,10 +29,6 @@ _POINTS = 121
 def write_boundary(plan: BoundaryPlan, folder: Path) -> dict[str, Any]:
     """Write boundary.json and boundary.png of a search into its folder.
 
-    Args:
-        plan: of the search.
-        folder: with its ledger.
-
     Returns:
         What is in boundary.json.
 

@@ -15,10 +15,6 @@ QUANTITY_WORDS = {"rotation_deg": "rotation", "direction_deg": "direction of tra
 def conditioning(analysis: dict[str, Any], table: pd.DataFrame) -> dict[str, Any] | None:
     """Describe the pose errors of an analysis; None if no pair was judged.
 
-    Args:
-        analysis: as plain data.
-        table: the records.
-
     Returns:
         ``told``, the sentences about each quantity, and ``marks``, one per lead-in and gap.
     """

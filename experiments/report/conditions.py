@@ -16,9 +16,6 @@ _ABBREVIATIONS = ("orb", "sift", "gms")
 def conditions(spec: "ExperimentSpec") -> list[dict[str, Any]]:
     """Describe every cell, in the order of the spec.
 
-    Args:
-        spec: the ExperimentSpec.
-
     Returns:
         Per cell its ``number`` from 1 and name, the ``kind`` of degradation, the ``dose`` in words, as
         ``value`` and its ``field``, the ``axis`` label of such doses, the ``severity`` that stands for

@@ -25,12 +25,7 @@ def rows_where(table: pd.DataFrame, mask: pd.Series) -> pd.DataFrame:
 
 
 def unit_counts(table: pd.DataFrame, planned: dict[str, int]) -> dict[str, Any]:
-    """Count planned, recorded, completed, void and failed units, in total and per cell.
-
-    Args:
-        table: the records.
-        planned: planned units per cell.
-    """
+    """Count planned, recorded, completed, void and failed units, in total and per cell."""
     per_cell = []
     for cell in dict.fromkeys([*planned, *table["cell"].dropna()]):
         rows = table[table["cell"] == cell]
@@ -58,11 +53,6 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
     """Units with a dual failure, a false recovery, a silent or a mission failure, in table order.
 
     Without the free arm: units that no thread crosses.
-
-    Args:
-        table: the records.
-        threads: n, the number of recovery threads.
-        folder: folder of the experiment, for the command that replays a unit.
     """
     place = shlex.quote(str(folder))
     found = []

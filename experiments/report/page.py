@@ -17,12 +17,7 @@ _TEMPLATES = Path(__file__).with_name("templates")
 
 
 def report_html(report: dict[str, Any], plots: dict[str, Plot]) -> str:
-    """Write the HTML text: rounded figures, plots as data URIs, no script.
-
-    Args:
-        report: figures from `report_content`.
-        plots: by name.
-    """
+    """Write the HTML text: rounded figures, plots as data URIs, no script."""
     return render_page(
         _TEMPLATES,
         FILTERS | {"labelled": _labelled, "in_order": _in_order, "stress": describe_label},

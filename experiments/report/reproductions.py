@@ -118,13 +118,7 @@ def _recoveries(units: pd.DataFrame, threads: int) -> dict[str, Any]:
 def initialisation(
     table: pd.DataFrame, systems: Mapping[str, str], frames_per_s: Mapping[str, float]
 ) -> list[dict[str, Any]]:
-    """Seconds to a new map per cell, after the breakage and after the exposed segment.
-
-    Args:
-        table: the records.
-        systems: system of each cell.
-        frames_per_s: frame rate of each cell.
-    """
+    """Seconds to a new map per cell, after the breakage and after the exposed segment."""
 
     def seconds(units: pd.DataFrame, after: str, at: str, cell: str) -> dict[str, Any]:
         return spread((units[at] - units[after]).astype("Float64") / frames_per_s[cell])
@@ -141,12 +135,7 @@ def initialisation(
 
 
 def timeline(table: pd.DataFrame, frames: Mapping[str, int]) -> list[dict[str, Any]]:
-    """Profiles of the first trials of every cell: frames of breakage and reinitialization.
-
-    Args:
-        table: the records.
-        frames: frames per sequence of each cell.
-    """
+    """Profiles of the first trials of every cell: frames of breakage and reinitialization."""
     names = ["unit_id", "index", "onset_frame", "end_frame", "breakage_frame", "reinit_frame", "breakage"]
     names += ["relocalized", "base_failure", "silent_failure", "dual_failure", "free_frames_to_cross"]
     profiles = []

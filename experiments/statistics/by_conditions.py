@@ -1,7 +1,8 @@
 """Shares by dose, by rescuability and by delay of the declaration, with intervals by worlds."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -53,13 +54,13 @@ def dose_points(
 
 
 def _shares(cell: HomogeneousCell, threads: int) -> dict[str, Interval]:
-    outcomes = cell.outcomes
+    outcomes, numbers = cell.outcomes, range(1, threads + 1)
     free = cell.says("breakage")
     events = {"breakage": outcomes.breakage} if free else {}
-    crossed = [j for j in range(1, threads + 1) if cell.says(thread_column("cross", j, "failed"))]
-    events |= {f"thread_{j}": outcomes.thread_failures[j - 1] for j in crossed}
-    if free:
-        events |= {f"dual_{j}": outcomes.dual_failures[j - 1] for j in range(1, threads + 1)}
+    for j, event in zip(numbers, outcomes.thread_failures, strict=True):
+        if cell.says(thread_column("cross", j, "failed")):
+            events[f"thread_{j}"] = event
+    events |= {f"dual_{n}": event for n, event in zip(numbers, outcomes.dual_failures, strict=True) if free}
     shares = {name: share_by_world(event) for name, event in events.items()}
     return {name: share for name, share in shares.items() if share is not None}
 
@@ -85,52 +86,45 @@ class Part:
 
 def rescuable_parts(cells: Sequence[HomogeneousCell]) -> tuple[Part, ...]:
     """Breakages after which images could recover, and geometrically hopeless ones; none where unknown."""
-
-    def parts(cell: HomogeneousCell) -> dict[str, Floats]:
-        rescuable = cell.values("rescuable")
-        return {"rescuable": _where(rescuable == 1, rescuable), "hopeless": _where(rescuable == 0, rescuable)}
-
-    return _parts([cell for cell in cells if cell.says("rescuable")], parts)
+    return _parts(cells, "rescuable", {"rescuable": lambda x: x == 1, "hopeless": lambda x: x == 0})
 
 
 def delay_parts(cells: Sequence[HomogeneousCell]) -> tuple[Part, ...]:
     """Breakages by the delay of their declaration; none where it is unknown."""
     short, long = DELAYS_S
-
-    def parts(cell: HomogeneousCell) -> dict[str, Floats]:
-        delay = cell.values("declaration_delay_s")
-        return {
-            f"up to {short:g} s": _where(delay <= short, delay),
-            f"{short:g} to {long:g} s": _where((delay > short) & (delay <= long), delay),
-            f"over {long:g} s": _where(delay > long, delay),
-        }
-
-    return _parts([cell for cell in cells if cell.says("declaration_delay_s")], parts)
+    parts: dict[str, Callable[[Floats], np.ndarray]] = {
+        f"up to {short:g} s": lambda delay: delay <= short,
+        f"{short:g} to {long:g} s": lambda delay: (delay > short) & (delay <= long),
+        f"over {long:g} s": lambda delay: delay > long,
+    }
+    return _parts(cells, "declaration_delay_s", parts)
 
 
-def _where(condition: np.ndarray, known: Floats) -> Floats:
-    return np.where(np.isfinite(known), condition, np.nan)
-
-
-def _parts(cells: Sequence[HomogeneousCell], parts) -> tuple[Part, ...]:
+def _parts(
+    cells: Sequence[HomogeneousCell], column: str, parts: Mapping[str, Callable[[Floats], np.ndarray]]
+) -> tuple[Part, ...]:
     found = []
-    for world in dict.fromkeys(cell.world for cell in cells):
+    cells = [cell for cell in cells if cell.says(column)]
+    for world, (name, is_in) in product(dict.fromkeys(cell.world for cell in cells), parts.items()):
         own = [cell for cell in cells if cell.world == world]
-        each = [parts(cell) for cell in own]
-        for name in each[0]:
-            part = [of_cell[name] for of_cell in each]
-            broken = [c.outcomes.breakage * np.isfinite(p) for c, p in zip(own, part, strict=True)]
-            inside = [b * np.nan_to_num(p) for b, p in zip(broken, part, strict=True)]
-            number = int(sum(np.nansum(x) for x in inside))
-            if not sum(np.nansum(b) for b in broken):
-                continue
-            duals = tuple(
-                _ratio(
-                    own, [c.outcomes.dual_failures[n] * i for c, i in zip(own, inside, strict=True)], inside
-                )
-                for n in range(own[0].threads)
+        values = [cell.values(column) for cell in own]
+        broken = [c.outcomes.breakage * np.isfinite(x) for c, x in zip(own, values, strict=True)]
+        if not sum(np.nansum(b) for b in broken):
+            continue
+        inside = [b * is_in(x) for b, x in zip(broken, values, strict=True)]
+        duals = zip(
+            *([d * i for d in c.outcomes.dual_failures] for c, i in zip(own, inside, strict=True)),
+            strict=True,
+        )
+        found.append(
+            Part(
+                world,
+                name,
+                int(sum(np.nansum(x) for x in inside)),
+                _ratio(own, inside, broken),
+                tuple(_ratio(own, of_first_n, inside) for of_first_n in duals),
             )
-            found.append(Part(world, name, number, _ratio(own, inside, broken), duals))
+        )
     return tuple(found)
 
 

@@ -66,9 +66,6 @@ def lead_ins(table: pd.DataFrame) -> pd.DataFrame:
     """The lead-ins of completed units whose pairs were judged, each once.
 
     Cells of one base share their lead-ins, which end before the degradation starts.
-
-    Args:
-        table: of units, with the columns of `experiments.eq1.records.columns`.
     """
     judged = [pair_column(gap, name) for gap in PAIR_GAPS for name in PAIR_COLUMNS]
     if not set(judged) <= set(table.columns):
@@ -85,18 +82,13 @@ def baseline_errors(rows: pd.DataFrame, quantity: str) -> BaselineErrors | None:
 
     Every lead-in has its own level, so that hard worlds and fast cameras do not bias the slope: it measures
     the change of the error from gap to gap in one place.
-
-    Args:
-        rows: from `lead_ins`.
-        quantity: one of ``QUANTITIES``.
     """
     gaps = []
     for gap in PAIR_GAPS if len(rows) else ():
         own = rows[rows[pair_column(gap, quantity)].notna()]
         if len(own):
-            medians = (
-                float(np.median(_floats(own, gap, name))) for name in ("matches", "baseline_m", quantity)
-            )
+            names = ("matches", "baseline_m", quantity)
+            medians = (float(np.median(_by_gap(own, name, [gap]))) for name in names)
             gaps.append(GapErrors(gap, len(own), int(own[pair_column(gap, "count")].sum()), *medians))
     if not gaps:
         return None
@@ -139,8 +131,8 @@ def _known(rows: pd.DataFrame, quantity: str, gaps: list[int]) -> np.ndarray:
 
 
 def _by_gap(rows: pd.DataFrame, name: str, gaps: list[int]) -> np.ndarray:
-    """(N, G) one column, for every gap."""
-    return np.column_stack([_floats(rows, gap, name) for gap in gaps])
+    """(N, G) one column, for every gap, nulls as NaN."""
+    return rows[[pair_column(gap, name) for gap in gaps]].to_numpy(float, na_value=np.nan)
 
 
 def _about_own_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -148,8 +140,3 @@ def _about_own_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     means = (values * known).sum(axis=1, keepdims=True) / known.sum(axis=1, keepdims=True)
     apart = values - means
     return np.where(known & (np.abs(apart) > ROUNDING * np.abs(means)), apart, 0.0)
-
-
-def _floats(rows: pd.DataFrame, gap: int, name: str) -> np.ndarray:
-    """A column as (N,) float64, nulls as NaN."""
-    return rows[pair_column(gap, name)].to_numpy(float, na_value=np.nan)

@@ -34,12 +34,7 @@ class Direction:
 
 
 def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction, ...]:
-    """Compare p0 and pr over the doses of each kind; a unit without a new map to go back from is left out.
-
-    Args:
-        cells: with a dose.
-        thread: number of the thread nearest to Algorithm 1's thread 1.
-    """
+    """Compare p0 and pr over the doses of each kind; a unit without a new map to go back from is left out."""
     failed, stage = (thread_column("cross", thread, name) for name in ("failed", "stage"))
     found = []
     for kind, world in dict.fromkeys((c.kind, c.world) for c in cells if c.says(failed)):

@@ -33,14 +33,7 @@ def simulate(
     replicates: int = 1,
     void: float = 0.0,
 ) -> Outcomes:
-    """Draw a cell.
-
-    Args:
-        truth: see there.
-        rng: stream of the draws.
-        worlds, sequences, replicates: W, S and K.
-        void: share of void replicates.
-    """
+    """Draw a cell of W worlds, S sequences and K replicates, of which a share is void."""
     shape = (len(truth.shares), worlds, sequences, replicates)
     uniform = _uniform(rng, shape, truth.correlation)
     shared = _uniform(rng, (1, *shape[1:]), truth.correlation)

@@ -25,7 +25,7 @@ from dslab.experiments.campaign.folder import ERROR_COLUMNS, claim_folder, expor
 from dslab.experiments.eq1.record_table import normalise
 from dslab.experiments.eq1.records import empty_record
 from dslab.experiments.eq1.spec import ExperimentSpec, load_spec
-from dslab.experiments.report.paths_file import add_paths
+from dslab.experiments.report.recordings import add_paths
 from dslab.experiments.runs.slam_settings import settings_yaml
 from dslab.scenarios.loading import load_scenario
 from dslab.sim.sequence_rendering import render_sequence

@@ -11,7 +11,6 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from dslab.experiments.report.conditions import describe_label
-from dslab.experiments.report.paths_file import read_paths
 from dslab.experiments.report.plots.chain import draw_chain
 from dslab.experiments.report.plots.conditioning import draw_conditioning
 from dslab.experiments.report.plots.doses import draw_doses
@@ -21,6 +20,7 @@ from dslab.experiments.report.plots.repeats import draw_repeats
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from dslab.experiments.report.plots.systems import draw_systems
 from dslab.experiments.report.plots.trials import draw_end_errors, draw_timeline
+from dslab.experiments.report.recordings import read_paths
 
 _PNG_DPI = 110
 
@@ -63,12 +63,7 @@ class Plot:
 
 
 def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
-    """Draw every plot that has figures; returns plots by name.
-
-    Args:
-        report: figures from `report_content`.
-        folder: folder of the experiment, which may hold trajectories.
-    """
+    """Draw every plot that has figures; returns plots by name."""
     paths = read_paths(folder)
     drawings: dict[str, tuple[str, Callable[[float], Figure | None]]] = {
         f"chain_{kind}": (

@@ -29,7 +29,7 @@ def draw_paths(
     """Draw a panel per unit, in the plane of the path's two longest axes.
 
     Args:
-        paths: paths from `paths_file.read_paths`.
+        paths: paths from `recordings.read_paths`.
         names: panel titles by unit id.
     """
     shown: list[tuple[str, dict[str, Any]]] = [(unit, own) for unit, own in paths.items() if "truth" in own]

@@ -31,7 +31,6 @@ def live(frames, shift_from: int | None = None, turn: bool = False) -> MapTrajec
 def test_a_sound_map_shows_no_loss():
     found = audit_loss(live(range(N)), Truth(STAMPS, circle(N)), 150, 200)
     assert found.true_loss_frame is None
-    assert found.error_m < 1e-9
 
 
 @pytest.mark.parametrize("turn", [False, True])

@@ -20,7 +20,7 @@ from dslab.experiments.report.plots.doses import draw_doses
 from dslab.experiments.report.plots.repeats import draw_repeats
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN
 from dslab.experiments.report.plots.trials import base_parts, dual_parts
-from dslab.experiments.report.reproductions import table_1, table_2, table_3
+from dslab.experiments.report.reproductions import table_1, tables_2_and_3
 
 PROFILE = {
     "breakage": True,
@@ -163,8 +163,9 @@ def test_table_1_is_over_keyframes_and_tables_2_and_3_without_the_sham():
     both = pd.concat([table, table[:6].assign(cell="sham", kind="sham", breakage=True)])
     cells = [*spec.cell_names(), "sham"]
     of = {cell: cell.split("/")[0] for cell in cells}, dict.fromkeys(cells, "dual")
-    assert [row["family"] for row in table_3(both, 2, *of)] == [*KINDS, "all"]
-    assert table_2(both, 2, *of)[-1]["breakage"]["units"] == table["breakage"].notna().sum()
+    found = tables_2_and_3(both, 2, *of)
+    assert [row["family"] for row in found["table_3"]] == [*KINDS, "all"]
+    assert found["table_2"][-1]["breakage"]["units"] == table["breakage"].notna().sum()
 
 
 def test_reasons_that_differ_in_figures_only_are_counted_together():

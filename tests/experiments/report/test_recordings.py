@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dslab.experiments.report.paths_file import PATHS_FILE, add_paths, read_paths
+from dslab.experiments.report.recordings import PATHS_FILE, add_paths, read_paths
 from dslab.scenarios.errors import InputError
 
 
