@@ -7,7 +7,7 @@ from urllib.parse import unquote, urldefrag, urlparse
 import pytest
 from slam_fakes import FakeSystem, make_sequence
 
-from dslab.experiments.comparison.compare import compare_runs
+from dslab.experiments.comparison.page import compare_runs
 from dslab.experiments.gallery.build import make_gallery
 from dslab.experiments.report.write import write_report
 from dslab.experiments.result_folder import run_systems

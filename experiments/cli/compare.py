@@ -35,7 +35,7 @@ def compare_command(
 
     `dslab compare out/kitti --out out/kitti-page`
     """
-    from dslab.experiments.comparison.compare import PAGE_FILE, compare_runs
+    from dslab.experiments.comparison.page import PAGE_FILE, compare_runs
 
     content = compare_runs(folders, out_dir)
     if as_json:

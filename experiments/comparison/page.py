@@ -1,16 +1,41 @@
-"""The page of a comparison."""
+"""From result folders to a folder with the comparison: its page and its figures."""
 
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from dslab.experiments.comparison.figures import FIGURES
+from dslab.experiments.comparison.figures import FIGURES, comparison_content
+from dslab.experiments.comparison.left_runs import find_runs
 from dslab.experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
 from dslab.experiments.pages import render_page
 from dslab.experiments.report.plots.draw import Plot, rendered
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
+from dslab.experiments.runs.files import plain, to_json
+from dslab.sim.io.folders import check_free, new_directory
 
+PAGE_FILE, FIGURES_FILE = "index.html", "comparison.json"
 _TEMPLATES = Path(__file__).with_name("templates")
+
+
+def compare_runs(folders: list[Path], out_dir: Path) -> dict[str, Any]:
+    """Compare every run in result folders, and write page and figures.
+
+    Args:
+        folders: result folders, or folders that hold some at any depth.
+        out_dir: absent or empty.
+
+    Returns:
+        The figures, as in ``comparison.json``.
+
+    Raises:
+        InputError: a folder holds no run, a run is not complete or has no truth, or ``out_dir`` is taken.
+    """
+    check_free(out_dir)
+    content = comparison_content(find_runs(folders))
+    with new_directory(out_dir) as folder:
+        (folder / PAGE_FILE).write_text(comparison_html(content), encoding="utf-8")
+        (folder / FIGURES_FILE).write_text(to_json(content, indent=1) + "\n", encoding="utf-8")
+    return plain(content)
 
 
 def comparison_html(content: dict[str, Any]) -> str:

@@ -158,7 +158,8 @@ def end_errors(table: pd.DataFrame) -> list[dict[str, Any]]:
             "base_failed": is_true(units["base_failure"]).tolist(),
             "dual_failed": is_true(units["dual_failure"]).tolist(),
         }
-        for cell, units in completed(table).sort_values("index", kind="stable").groupby("cell", sort=False)
+        for cell, own in completed(table).groupby("cell", sort=False)
+        for units in [own.sort_values("index")]
     ]
 
 

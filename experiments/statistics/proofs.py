@@ -34,13 +34,12 @@ class Claim:
 
     Attributes:
         name: what the figure is.
-        low, high: bounds of its mean.
+        bounds: of its mean.
         experiment: draws an experiment and returns its figure; NaN where it has none.
     """
 
     name: str
-    low: float
-    high: float
+    bounds: tuple[float, float]
     experiment: Experiment
 
 
@@ -93,7 +92,7 @@ def _proof(claim: Claim, figures: np.ndarray) -> Proof:
     spread = float(known.std(ddof=1)) / sqrt(len(known)) if len(known) > 1 else inf
     error = max(spread, 1 / max(len(known), 1))
     found = float(known.mean()) if len(known) else float("nan")
-    return Proof(claim.name, claim.low, claim.high, found, error, len(known))
+    return Proof(claim.name, *claim.bounds, found, error, len(known))
 
 
 @dataclass(frozen=True)
@@ -145,55 +144,53 @@ CONSISTENT = (Cell(Truth((0.5, 0.7), 0.3, 0.3), 150), Cell(Truth((0.15, 0.05, 0.
 """A share of .3 of the worlds with one cause puts them .3 of the way to the weakest link."""
 
 
-def claims() -> list[Claim]:
+def claims() -> Iterator[Claim]:
     """Every line that is to be proved."""
-    return [Claim(name, low, high, experiment) for name, (low, high), experiment in _claims()]
-
-
-def _claims() -> Iterator[tuple[str, tuple[float, float], Experiment]]:
     size, exact, rare = (0, 0.06), (0.93, 0.97), (0.90, 1)
     for cell in EQ1_TRUE:
-        yield f"size of independence, {cell}", size, partial(_independence, cell)
-        yield f"size of forecast, {cell}", size, partial(_forecast, cell)
+        yield Claim(f"size of independence, {cell}", size, partial(_independence, cell))
+        yield Claim(f"size of forecast, {cell}", size, partial(_forecast, cell))
     name = f"forecast finds one cause of all, {RARE_WITH_ONE_CAUSE}"
-    yield name, rare, partial(_forecast, RARE_WITH_ONE_CAUSE)
+    yield Claim(name, rare, partial(_forecast, RARE_WITH_ONE_CAUSE))
     for cell in (Cell(Truth((0.5, 0.5))), Cell(Truth((0.5, 0.5), 0.3), 60, 2, 3, 0.2)):
-        yield f"size within sequences, {cell}", size, partial(_within, cell)
+        yield Claim(f"size within sequences, {cell}", size, partial(_within, cell))
     for cell in CONSISTENT:
-        yield f"consistent at k = .3, {cell}", size, partial(_consistent, cell)
+        yield Claim(f"consistent at k = .3, {cell}", size, partial(_consistent, cell))
     for (share, worlds), correlation in product(((0.3, 100), (0.5, 30), (0.06, 100)), (0.0, 0.9)):
         name = f"coverage of a share of {share:g}, {worlds} worlds, correlation {correlation:g}"
-        yield name, exact, partial(_covers_share, Cell(Truth((share,), correlation), worlds))
+        yield Claim(name, exact, partial(_covers_share, Cell(Truth((share,), correlation), worlds)))
     for common, correlation in product((0.0, 0.5), (0.0, 0.9)):
         what = f"{common:g} of the worlds with one cause, correlation {correlation:g}"
         truth = Truth((0.5, 0.4), correlation, common)
-        yield f"coverage of D over Eq. 1, {what}", exact, partial(_covers_ratio, truth)
-    yield "coverage of D over Eq. 1, rare failures", rare, partial(_covers_ratio, Truth((0.15, 0.15), 0.3))
+        yield Claim(f"coverage of D over Eq. 1, {what}", exact, partial(_covers_ratio, truth))
+    yield Claim(
+        "coverage of D over Eq. 1, rare failures", rare, partial(_covers_ratio, Truth((0.15, 0.15), 0.3))
+    )
     for threads in (1, 2):
         ratio, name = 0.4**-threads, f"pi_seq over pi_marg where one draw decides all, n = {threads}"
-        yield name, (0.93 * ratio, 1.07 * ratio), partial(_planted_ratio, threads)
-    yield "sequences that are decided give no verdict within", (1, 1), _deterministic
-    yield "a mixture of kinds is optimistic within its kinds", (0, 0.05), _mixture
-    yield "a mixture of kinds is optimistic if it is one cell", (0.95, 1), _mixed_cell
-    yield "a stress that acts on half of the sequences is optimistic", (0, 0.05), _half_exposed
+        yield Claim(name, (0.93 * ratio, 1.07 * ratio), partial(_planted_ratio, threads))
+    yield Claim("sequences that are decided give no verdict within", (1, 1), _deterministic)
+    yield Claim("a mixture of kinds is optimistic within its kinds", (0, 0.05), _mixture)
+    yield Claim("a mixture of kinds is optimistic if it is one cell", (0.95, 1), _mixed_cell)
+    yield Claim("a stress that acts on half of the sequences is optimistic", (0, 0.05), _half_exposed)
     for what, common, design, bounds in (
         ("Eq. 1 is true", 0.0, (60, 1, 2), (0, 0.05)),
         ("half of the worlds have one cause", 0.5, (100, 1, 3), (0.9, 1)),
     ):
-        yield f"some formula beats Eq. 1 where {what}", bounds, partial(_formula_wins, common, design)
+        yield Claim(f"some formula beats Eq. 1 where {what}", bounds, partial(_formula_wins, common, design))
     for planted, level in REACHED:
         what = f"{level:g}, slope {planted.slopes:g}, {planted.sham_rates:g} to {planted.ceilings:g}"
-        yield f"coverage of the boundary of {what}", rare, partial(covers, planted, level)
+        yield Claim(f"coverage of the boundary of {what}", rare, partial(covers, planted, level))
     for planted, level in NOT_REACHED:
         name = f"boundary of {level:g} is not reached, ceiling {planted.ceilings:g}"
-        yield name, rare, partial(not_reached, planted, level)
+        yield Claim(name, rare, partial(not_reached, planted, level))
 
 
 def _chunk(chunk: tuple[int, int, int, int]) -> np.ndarray:
     """The figures of some experiments: claim, seed, number of the first of them, how many."""
     claim, seed, start, count = chunk
     rng = np.random.default_rng([seed, claim, start])
-    experiment = claims()[claim].experiment
+    experiment = list(claims())[claim].experiment
     return np.array([experiment(rng) for _ in range(count)])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from slam_fakes import FakeSystem, make_sequence
 
-from dslab.experiments.comparison.compare import FIGURES_FILE, PAGE_FILE, compare_runs
+from dslab.experiments.comparison.page import FIGURES_FILE, PAGE_FILE, compare_runs
 from dslab.experiments.evaluation.audit_text import audit_text
 from dslab.experiments.evaluation.metrics import PosePairs
 from dslab.experiments.evaluation.robustness import robustness, share_within, step_errors

@@ -20,7 +20,7 @@ from dslab.experiments.report.plots.doses import draw_doses
 from dslab.experiments.report.plots.repeats import draw_repeats
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN
 from dslab.experiments.report.plots.trials import base_parts, dual_parts
-from dslab.experiments.report.reproductions import table_1, tables_2_and_3
+from dslab.experiments.report.reproductions import end_errors, table_1, tables_2_and_3
 
 PROFILE = {
     "breakage": True,
@@ -166,6 +166,13 @@ def test_table_1_is_over_keyframes_and_tables_2_and_3_without_the_sham():
     found = tables_2_and_3(both, 2, *of)
     assert [row["family"] for row in found["table_3"]] == [*KINDS, "all"]
     assert found["table_2"][-1]["breakage"]["units"] == table["breakage"].notna().sum()
+
+
+def test_errors_of_the_last_pose_stand_by_cell_in_the_order_of_the_table_and_then_by_unit():
+    spec = FakeSpec(doses=1, units=6)
+    table = fake_table(spec)[1:].assign(outcome="completed", dual_failure=False)
+    found = end_errors(pd.concat([table[4:5], table.drop(table.index[4])]))
+    assert [row["cell"] for row in found] == spec.cell_names() and found[0]["index"] == [1, 2, 3, 4, 5]
 
 
 def test_reasons_that_differ_in_figures_only_are_counted_together():
