@@ -4,7 +4,6 @@ from collections.abc import Sequence as Many
 from dataclasses import asdict
 
 import numpy as np
-import pandas as pd
 
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
@@ -126,15 +125,19 @@ def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dic
 
 def stage_times(results: Many[TrackingResult]) -> dict[str, dict[str, float | None]]:
     """Median and 95th percentile of the times of each tracking stage, over the frames in which it ran."""
-    cpu, wall = (pd.DataFrame([getattr(r, name) for r in results]) for name in ("cpu_ms", "ms"))
+    cpu, wall = [r.cpu_ms for r in results], [r.ms for r in results]
+
+    def ran(times_ms: list[dict[str, float]], stage: str) -> list[float]:
+        return [of_frame[stage] for of_frame in times_ms if stage in of_frame]
+
     return {
-        str(stage): {
-            "frames": int(cpu[stage].count()),
-            "cpu_ms_median": _median(cpu[stage].dropna()),
-            "cpu_ms_p95": _p95(cpu[stage].dropna()),
-            "ms_median": _median(wall[stage].dropna()) if stage in wall else None,
+        stage: {
+            "frames": len(ran(cpu, stage)),
+            "cpu_ms_median": _median(ran(cpu, stage)),
+            "cpu_ms_p95": _p95(ran(cpu, stage)),
+            "ms_median": _median(ran(wall, stage)),
         }
-        for stage in cpu
+        for stage in dict.fromkeys(stage for of_frame in cpu for stage in of_frame)
     }
 
 
@@ -242,9 +245,9 @@ def _breakage(outcome: BreakageOutcome, record: RunRecord) -> dict:
     }
 
 
-def _median(values: Many[float] | pd.Series) -> float | None:
+def _median(values: Many[float]) -> float | None:
     return float(np.median(values)) if len(values) else None
 
 
-def _p95(values: Many[float] | pd.Series) -> float | None:
+def _p95(values: Many[float]) -> float | None:
     return float(np.percentile(values, 95)) if len(values) else None

@@ -110,28 +110,28 @@ def compare_systems(
     cells = [cell for sham in (False, True) for cell in cells_of(table, threads, sham)]
     columns = _columns(threads)
     rng = np.random.default_rng(seed)
-    of = {(systems[cell.name], images[cell.name], cell.world): cell for cell in cells}
+    placed = {(systems[cell.name], images[cell.name], cell.world): cell for cell in cells}
     pooled: list[PairedDifference] = []
+    tests: list[float] = []
     single: list[PairedDifference] = []
-    names, worlds = (dict.fromkeys(of) for of in (systems.values(), (cell.world for cell in cells)))
+    names, worlds = dict.fromkeys(systems.values()), dict.fromkeys(cell.world for cell in cells)
     for world, (first, second), failure in product(worlds, combinations(names, 2), columns):
         pairs = []
         for image in dict.fromkeys(images[cell.name] for cell in cells):
-            both = [cell for system in (first, second) if (cell := of.get((system, image, world)))]
+            both = [cell for system in (first, second) if (cell := placed.get((system, image, world)))]
             pair = _paired(both, columns[failure]) if len(both) == 2 else pd.DataFrame()
             if len(pair) and pair.difference.notna().any():
                 single.append(_difference([pair], first, second, failure, world, image))
                 if both[0].kind != SHAM:
                     pairs.append(pair)
         if pairs:
-            p = exchange_test(_by_world(pairs), rng)
-            pooled.append(_difference(pairs, first, second, failure, world, "", p=p))
-    corrected = holm([pair.p or 0.0 for pair in pooled])
+            tests.append(exchange_test(_by_world(pairs), rng))
+            pooled.append(_difference(pairs, first, second, failure, world, ""))
     return Systems(
         tuple(
             _shares(cell, systems[cell.name], images[cell.name], columns) for cell in cells if len(cell.rows)
         ),
-        tuple(replace(pair, p=float(p)) for pair, p in zip(pooled, corrected, strict=True)),
+        tuple(replace(pair, p=float(p)) for pair, p in zip(pooled, holm(tests), strict=True)),
         tuple(single),
     )
 
@@ -214,7 +214,7 @@ def _by_world(pairs: Sequence[pd.DataFrame]) -> Floats:
     return by_world.dropna().to_numpy(float)
 
 
-def _difference(pairs: Sequence[pd.DataFrame], *about: str, p: float | None = None) -> PairedDifference:
+def _difference(pairs: Sequence[pd.DataFrame], *about: str) -> PairedDifference:
     by_world = _by_world(pairs)
     figure, units = Figure.mean(by_world), pd.concat(pairs)
     return PairedDifference(
@@ -226,5 +226,4 @@ def _difference(pairs: Sequence[pd.DataFrame], *about: str, p: float | None = No
         only_second=int((units.difference < 0).sum()),
         difference=figure.value,
         interval=difference_interval(figure) if len(by_world) > 1 and figure.error else None,
-        p=p,
     )
