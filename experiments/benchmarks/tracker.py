@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dslab.experiments.evaluation.summary import is_tracked, stage_times, time_figures
-from dslab.experiments.runs.execution import Mode, RunRecord, SystemKind, execute, system_factory
+from dslab.experiments.runs import execution
+from dslab.experiments.runs.execution import Mode, RunRecord, SystemKind, execute
 from dslab.experiments.runs.pacing import RealTime
 from dslab.sim.sequence import Sequence as ImageSequence
 
@@ -48,7 +49,7 @@ def bench(
     from dslab.slam.warmup import warm_up
 
     warm_up(progress)
-    build, records = system_factory(mode, dual), []
+    build, records = execution.system_factory(mode, dual), []
     for run in range(runs):
         title = f"run {run + 1} of {runs}"
         records.append(

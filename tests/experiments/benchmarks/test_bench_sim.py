@@ -90,8 +90,8 @@ def test_the_table_shows_targets_beside_measurements(monkeypatch, capsys):
         cli.main()
     shown = capsys.readouterr().out
     assert not caught.value.code
-    rows = [re.split(r" {2,}", line) for line in shown.splitlines()]
-    for name, asked in (("rendered, city", "60"), ("degraded", "150"), ("degraded and blurred", "-")):
+    rows = [re.split(r" {2,}", line) for line in map(str.rstrip, shown.splitlines())]
+    for name, asked in (("rendered, city", "60"), ("degraded", "150"), ("degraded, blurred", "-")):
         assert [name, "61.5", asked, "20.0", "100.0", "700", "1536"] in rows
     for figure in ("3.5 s", "limit: 5 s"):
         assert figure in shown
