@@ -21,6 +21,7 @@ def trained():
     return train([little_room()], seeds_each=2, branching=4, levels=2)
 
 
+@pytest.mark.slow
 def test_training_is_deterministic(trained, tmp_path):
     again = train([little_room()], seeds_each=2, branching=4, levels=2)
     for name, made in (("a", trained), ("b", again)):
@@ -44,6 +45,7 @@ def test_the_training_set_has_every_world_and_no_two_frames_alike():
     assert all(s.camera.fps == 1 and s.frame_count >= 30 for s in scenarios)
 
 
+@pytest.mark.slow
 def test_the_command_writes_it(monkeypatch, tmp_path):
     monkeypatch.setattr(vocabulary, "training_scenarios", lambda: [little_room()])
     train_command(tmp_path / "words.npz")

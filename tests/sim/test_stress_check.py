@@ -51,6 +51,7 @@ def test_it_is_what_the_truth_of_the_whole_sequence_says(segment, acts, tmp_path
 
 
 @pytest.mark.parametrize("world", ["corridor", "warehouse"])
+@pytest.mark.slow
 def test_the_asked_share_of_the_view_fades_from_surfaces_that_are_seen_least_elsewhere(world):
     def plan(**segment):
         of = scenario(world, kind="low_texture", contrast=0.1, **segment)

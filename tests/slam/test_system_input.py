@@ -169,6 +169,7 @@ def feed_spoilt(system, sequence, first, end, content, spots):
 
 
 @pytest.mark.parametrize("content", CONTENT)
+@pytest.mark.slow
 def test_no_content_raises_during_initialization(sequence, content):
     system = base()
     feed_spoilt(system, sequence, 0, 30, content, {*range(3), *range(5, 7)})
@@ -177,6 +178,7 @@ def test_no_content_raises_during_initialization(sequence, content):
 
 @pytest.mark.parametrize("kind", ["base", "dual"])
 @pytest.mark.parametrize("content", CONTENT)
+@pytest.mark.slow
 def test_no_content_raises_during_tracking_or_after_a_breakage(sequence, healthy, content, kind):
     """At worst tracking is lost."""
     system = healthy[kind].restore()

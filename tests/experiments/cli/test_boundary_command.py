@@ -111,6 +111,7 @@ def test_the_folder_of_a_search_is_that_of_an_experiment(search, dslab, monkeypa
     assert code == 0 and "20 of 420 units" in out
 
 
+@pytest.mark.slow
 def test_doses_that_outcomes_have_chosen_have_no_report(search, dslab, tmp_path):
     search(*BLUR, "--trials", 12)
     code, _, err = dslab("experiment", "report", tmp_path / "b")

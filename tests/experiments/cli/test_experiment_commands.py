@@ -328,6 +328,7 @@ def test_an_exported_table_of_wrong_rows_is_one_line(dslab, smoke, damage):
     assert said[damage] in err
 
 
+@pytest.mark.slow
 def test_power_prints_that_of_both_tests(dslab):
     given = ["--p0", "0.4", "--pr", "0.3", "--pr", "0.3", "--ratio", "4", "--worlds", "40", "--json"]
     code, out, _ = dslab("experiment", "power", *given)

@@ -125,6 +125,7 @@ def test_frames_without_texture_or_motion_have_no_pairs():
         assert {row[name] for name in NAMES if not name.endswith("count")} == {None}
 
 
+@pytest.mark.slow
 def test_the_arm_runs_on_request(monkeypatch):
     record = run(monkeypatch, WHOLE, unit("orb", arms=("pairs",)))
     assert list(record) == list(columns(1)) and by_gap(record, "count") == [8] * 4

@@ -67,6 +67,7 @@ def page(gallery):
     return Page(gallery[0].read_text())
 
 
+@pytest.mark.slow
 def test_the_page_names_every_scenario_once(gallery, page):
     assert gallery[1] == [(1, 3), (2, 3), (3, 3)]
     articles = [attrs["id"] for attrs in page.all("article")]

@@ -104,6 +104,7 @@ def test_a_scheduler_behind_keys_is_one_line_without_them():
 
 
 @pytest.mark.parametrize("address", ["tls://127.0.0.1:9", "nonsense://x"])
+@pytest.mark.slow
 def test_no_client_without_a_connection_is_left_to_the_garbage_collector(address):
     gc.collect()
     gc.disable()

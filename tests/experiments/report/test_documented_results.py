@@ -39,6 +39,7 @@ def test_a_preset_with_a_published_table_is_still_that_experiment(name):
 
 
 @pytest.mark.parametrize("folder", sorted(file.parent for file in ROOT.glob("docs/*/units.parquet")))
+@pytest.mark.slow
 def test_a_published_table_names_its_release_and_its_seeds_are_still_drawn(folder):
     assert re.fullmatch(r"\d+\.\d+\.\d+|[0-9a-f]{40}", release_of(folder))
     spec, table = read_experiment(folder)
@@ -71,6 +72,7 @@ def test_the_figures_of_direct_methods_follow_from_their_tables():
 
 
 @pytest.mark.parametrize("folder", [FIRST, pytest.param(RUN, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_the_report_follows_from_the_records(reports, folder):
     report = reports[folder]
     again = json.loads(to_json(report_content(*read_experiment(folder), folder)))

@@ -196,6 +196,7 @@ def test_the_same_figures_give_the_same_files(made):
     assert first.png.startswith(b"\x89PNG") and b"</svg>" in first.svg
 
 
+@pytest.mark.slow
 def test_no_legend_lies_over_data_and_no_plot_is_wider_than_its_page(made, monkeypatch, tmp_path):
     figures = []
     monkeypatch.setattr(draw, "rendered", lambda name, alt, *drawn: figures.append(drawn))

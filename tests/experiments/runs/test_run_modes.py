@@ -45,6 +45,7 @@ def test_the_mode_is_recorded(summary):
 
 
 @pytest.mark.parametrize("paced", [False, True])
+@pytest.mark.slow
 def test_a_threaded_run_tracks_and_records_its_mode(sequence, summary, tmp_path, paced):
     threaded = run_sequence(
         sequence, "base", 0, tmp_path / "r", build=system_factory("threaded"), real_time=paced

@@ -20,6 +20,7 @@ MARGINS = (Margin(0.4, 0.8), Margin(0.5, 0.6), Margin(0.2, 0.9))
 
 
 @pytest.mark.parametrize("correlation", [0.0, 0.7])
+@pytest.mark.slow
 def test_shares_difficulties_and_their_correlation_are_found(correlation):
     columns = draw(MARGINS, correlation, np.random.default_rng(0), (1500, 1, 3))
     counts = Counts.of(columns)

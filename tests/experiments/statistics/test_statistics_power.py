@@ -29,6 +29,7 @@ def test_the_worlds_needed_reach_the_power_and_half_of_them_do_not():
     assert power_of(0.4, (0.4,), 1.5, half, experiments=150).independence < 0.75
 
 
+@pytest.mark.slow
 def test_more_than_can_be_had_is_none_and_the_impossible_is_refused():
     assert worlds_needed(0.05, (0.05,), 1.01, 0.9, Design(0), experiments=4) is None
     for p0, pr, ratio in ((0.0, (0.3,), 2.0), (0.3, (), 2.0), (0.3, (0.3,), 0.9), (0.3, (0.3,), 3.4)):

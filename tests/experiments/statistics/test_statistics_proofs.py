@@ -18,6 +18,7 @@ def test_the_forecast_keeps_its_size_where_failures_are_rare_and_finds_a_common_
     assert len(proofs) == 9 and [proof.name for proof in proofs if not proof.holds(errors=3.0)] == []
 
 
+@pytest.mark.slow
 def test_proofs_are_the_same_for_any_number_of_workers():
     one, two = (list(prove(60, 0, workers, only="coverage of a share of 0.5")) for workers in (1, 2))
     assert one == two and len(one) == 2 and one[0].experiments == 60

@@ -41,6 +41,7 @@ def test_one_correlation_of_difficulties_predicts_conditions_whose_beta_differs(
     assert correlated.loss.value == min(score.loss.value for score in scores.values())
 
 
+@pytest.mark.slow
 def test_parameters_come_from_the_other_groups_alone(conditions):
     before = transfer(conditions)
     other = draw((Margin(0.5, 0.9), Margin(0.5, 0.9)), 0.0, np.random.default_rng(1), (150, 1, 3))

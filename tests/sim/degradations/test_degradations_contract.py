@@ -102,6 +102,7 @@ def test_the_truth_names_the_frames_on_which_it_acts(render, kind):
 
 
 @pytest.mark.parametrize("kind", IMAGE_KINDS)
+@pytest.mark.slow
 def test_a_ramp_rises_and_falls_and_a_segment_may_follow_at_once(render, kind):
     severity = SEVERITIES[kind][4]
     ramped = {"kind": kind, "start_s": 0.2, "duration_s": 0.4, "ramp_s": 0.2, **severity}

@@ -209,6 +209,7 @@ STRESSED = {
 }
 
 
+@pytest.mark.slow
 def test_a_stressed_sequence_is_the_same_with_either_renderer(tmp_path):
     scenario = Scenario.model_validate(STRESSED)
     sequences = [

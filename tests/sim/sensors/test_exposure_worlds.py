@@ -72,6 +72,7 @@ def seen_inside(depth_m: np.ndarray, T_mid_cam: np.ndarray) -> np.ndarray:
     ],
     indirect=["stage"],
 )
+@pytest.mark.slow
 def test_blur_of_24_pixels_is_the_mean_of_rendered_frames(stage, name):
     renderer, T_world_cam = stage
     offset_m, turn_rad = (np.array(part) for part in MOTIONS[name])

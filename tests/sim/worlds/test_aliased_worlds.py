@@ -49,12 +49,14 @@ def test_one_half_is_the_other_after_half_a_turn(kind):
 
 
 @pytest.mark.parametrize("kind", TURNED)
+@pytest.mark.slow
 def test_details_tell_twin_places_apart(kind):
     alike = [np.array_equal(a.texture, b.texture) for a, b in twins_in(aliased_world(kind, 0.0, 0.7))]
     assert 0.4 < np.mean(alike) < 0.95
 
 
 @pytest.mark.parametrize("kind", ["room", "corridor", "city", "motorway", "field"])
+@pytest.mark.slow
 def test_some_things_are_missing_in_a_twin_place(kind):
     assert len(aliased_world(kind, 0.0, 0.2).surfaces) < len(aliased_world(kind, 0.0, 1.0).surfaces)
 

@@ -211,6 +211,7 @@ def test_a_large_world_stays_within_the_texture_budget(monkeypatch):
 
 
 @pytest.mark.parametrize("kind", INDOORS)
+@pytest.mark.slow
 def test_clean_surfaces_change_textures_and_no_shape(kind):
     clean = SMALL[kind].model_copy(update={"surfaces": "clean"})
     other, worn = build_world(clean, 4), build_world(SMALL[kind], 4)

@@ -38,6 +38,7 @@ def runs(sequence):
 
 @pytest.mark.parametrize("at", CUTS)
 @pytest.mark.parametrize("kind", ["base", "dual"])
+@pytest.mark.slow
 def test_a_branch_continues_bit_for_bit_to_the_next_cut(runs, sequence, kind, at):
     (snapshots, results), (images, stamps_s) = (each[kind] for each in runs), sequence
     assert snapshots[at].frames == at

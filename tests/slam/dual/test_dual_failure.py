@@ -67,6 +67,7 @@ def test_too_many_unusable_frames_end_the_recovery():
     assert 4 <= result.frames_passed_over <= 5
 
 
+@pytest.mark.slow
 def test_the_buffer_grows_until_its_cap_and_recovery_fails_beyond_it():
     images, stamps_s, _ = toy(150, 0, STEP_M)
     images = blanked(images, range(50, 72))

@@ -84,6 +84,7 @@ def fusing(monkeypatch):
     return held
 
 
+@pytest.mark.slow
 def test_tracking_goes_on_while_maps_are_fused_and_nothing_of_it_is_lost(fusing):
     run = Threaded()
     run.feed_until(fusing.entered.is_set)

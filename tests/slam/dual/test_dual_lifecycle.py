@@ -96,6 +96,7 @@ def delayed():
     return system, results, T_world_cam, stamps_s, snapshot
 
 
+@pytest.mark.slow
 def test_the_fusion_is_applied_at_the_time_of_the_cost_model(delayed):
     system, _, _, stamps_s, _ = delayed
     assert kinds(system) == ["initialized", *RECOVERED]
@@ -163,6 +164,7 @@ def test_the_end_of_input_waits_for_a_running_recovery(delayed):
 # -- breakages during a recovery -----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_new_map_that_breaks_during_its_recovery_is_saved_and_still_fused():
     system = with_own_threads([Lasting(24)])
     _, T_world_cam = drive(system, 175, after_start(system, 12, 18))
@@ -303,6 +305,7 @@ def outcome(event):
     return {k: v for k, v in event.record().items() if k not in ("cpu_ms", "frame", "stamp_s")}
 
 
+@pytest.mark.slow
 def test_exhaustive_runs_all_threads_otherwise_the_first_success_stops(both_ways):
     product, laboratory = both_ways
     ends = [(e.thread, e.success, e.stage) for e in of(product, "recovery_end")]
@@ -338,6 +341,7 @@ def test_without_threads_maps_are_only_saved():
 # -- laboratory ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_after_a_cut_recovery_crosses_all_buffered_frames():
     images, stamps_s, T_world_cam = toy(125, 0, STEP_M)
     system = dual()

@@ -76,6 +76,7 @@ def test_another_place_is_not_recognised():
     assert sorted(system.maps()) == [0, 1]
 
 
+@pytest.mark.slow
 def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
     """Contradicted at two keyframes, the same similarity needs three sound ones before it is believed."""
     said = iter(["contradicted"] * 2)
@@ -89,6 +90,7 @@ def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
     assert of(system, "fusion")[-1].frame > of(system, "fusion")[-2].frame + 5
 
 
+@pytest.mark.slow
 def test_frames_of_a_map_whose_recovery_has_failed_are_sought_in_saved_maps(monkeypatch):
     """Neither before the new map nor by its keyframes is the place found here."""
     nothing = TrackingOutcome(False, 0, 0, "no_candidates")
@@ -133,6 +135,7 @@ def test_place_merging_can_be_switched_off(fused_by_place):
     assert kinds(system) == kinds(fused_by_place[0])[:-1]
 
 
+@pytest.mark.slow
 def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     """Relocalized in the first map while the second is saved, the camera reaches the second's scene."""
     images, _, T_world_cam = toy(130, 0, STEP_M)

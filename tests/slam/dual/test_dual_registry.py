@@ -119,6 +119,7 @@ def crossed(request):
     return request.param, blind_scene().run(request.param), untouched
 
 
+@pytest.mark.slow
 def test_the_old_map_is_reached_across_blank_frames(crossed):
     _, result, _ = crossed
     assert result.success and (result.stage, result.reason) == ("", "")

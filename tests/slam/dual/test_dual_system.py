@@ -306,6 +306,7 @@ def test_the_map_after_one_begun_from_the_wrong_motion_is_recovered_from(monkeyp
     assert rms(errors_m(path, T_world_cam)[0]) < 0.05
 
 
+@pytest.mark.slow
 def test_a_map_joined_before_its_start_was_found_wrong_is_kept(monkeypatch):
     accuse(monkeypatch, range(50, 62), at=100)
     system, _, _ = play(110, range(50, 56))

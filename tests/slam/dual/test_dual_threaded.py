@@ -63,6 +63,7 @@ def feed_in_time(system, first, last, until=None):
     return results
 
 
+@pytest.mark.slow
 def test_a_slow_recovery_delays_no_frame_and_finish_waits_for_it():
     before = set(threading.enumerate())
     thread = Waiting()

@@ -39,6 +39,7 @@ def beside_a_new_scene(both=68):
 
 
 @pytest.mark.parametrize("relocalization", [True, False])
+@pytest.mark.slow
 def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalization):
     images, stamps_s, truth = beside_a_new_scene()
     system = dual(replace(RECOVERY_ONLY, relocalization=relocalization, start_keyframes=50))
@@ -87,6 +88,7 @@ def test_a_recovery_ends_when_its_maps_are_joined_by_place(exhaustive):
         assert (end.stage, end.reason, end.frame) == ("cancelled", "maps_are_joined", joined.frame)
 
 
+@pytest.mark.slow
 def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
     """The camera is back in the old map while the recovery runs, and the new map is left behind."""
     images, stamps_s, truth = there_and_back(100)

@@ -106,6 +106,7 @@ def test_elimination_equals_a_dense_one():
 
 
 @pytest.mark.parametrize("residual", [(0.0, 0.0, 0.0, 0.0), LENS])
+@pytest.mark.slow
 def test_a_window_says_what_the_lens_is(residual):
     window = window_of(POSES + MORE, 900)
     for slot in window.slots:
@@ -185,6 +186,7 @@ def test_a_lens_that_is_as_given_is_left_alone(rounds):
 
 
 @pytest.mark.parametrize("count", [5, 30])
+@pytest.mark.slow
 def test_chance_alone_is_rarely_significant(monkeypatch, count):
     """How far a few windows scatter is not well known: they have to say the same more clearly than many."""
     rng, root = np.random.default_rng(count), np.diag([300.0, 100.0, 500.0, 400.0])

@@ -72,6 +72,7 @@ def test_a_snapshot_goes_on_bit_for_bit():
 
 
 @pytest.mark.parametrize("known", [True, False])
+@pytest.mark.slow
 def test_brightness_is_expected_to_follow_known_exposures(known):
     """Every fourth image is exposed a fifth as long, and brightness hardly differs from what is expected."""
     settings = DsoConfig(photometric=PhotometricConfig(gain_sigma=1e-5))
@@ -99,6 +100,7 @@ def test_misuse_raises():
 
 
 @pytest.mark.parametrize("kind", ["dso", "ldso"])
+@pytest.mark.slow
 def test_no_image_raises(kind):
     """Noise, blank images, a mirrored one and a jump, in a map that has begun."""
     rng, shape = np.random.default_rng(5), (CAMERA.height_px, CAMERA.width_px)

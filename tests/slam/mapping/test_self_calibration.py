@@ -63,6 +63,7 @@ def test_a_calibrated_lens_is_left_alone():
     assert system.camera == CAMERA
 
 
+@pytest.mark.slow
 def test_once_known_to_be_off_a_lens_follows_every_estimate():
     """The first estimate must be worth it; those that follow change less than the first one had to."""
 

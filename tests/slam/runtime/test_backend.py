@@ -172,6 +172,7 @@ def accepting_all():
 
 
 @pytest.mark.parametrize("mode", list(ExecutionMode))
+@pytest.mark.slow
 def test_a_loop_is_corrected_and_tracking_continues(sequence, monkeypatch, mode):
     images, stamps_s, _ = sequence
     monkeypatch.setattr("dslab.slam.loop_closing.detection.LoopDetector.detect", drifted(1.25))

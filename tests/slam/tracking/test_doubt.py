@@ -252,6 +252,7 @@ def test_a_wandering_system_takes_its_poses_back(sequence, wandering):
     assert rms(errors[path.frames < breakage.frame]) < 0.03
 
 
+@pytest.mark.slow
 def test_what_was_learned_just_before_a_loss_is_taken_back_if_it_was_unsteady(sequence, wandering):
     images, stamps_s, _ = sequence
     lost = range(PLANTED_AT + 4, PLANTED_AT + 9)
@@ -263,17 +264,20 @@ def test_what_was_learned_just_before_a_loss_is_taken_back_if_it_was_unsteady(se
     assert PLANTED_AT <= withdrawn.first_frame <= withdrawn.last_frame == lost[0] - 1
 
 
+@pytest.mark.slow
 def test_a_place_where_the_camera_still_wanders_is_not_recognised(sequence, wandering):
     system, _ = run("base", sequence)
     relocalized = next(e for e in system.events if isinstance(e, Relocalized))
     assert relocalized.first_frame >= PLANTED_AT + 28, "the wandering ends 30 frames after its begin"
 
 
+@pytest.mark.slow
 def test_without_doubt_the_wandering_is_not_noticed(sequence, wandering):
     system, _ = run("base", sequence, min_share=0.0)
     assert "poses_withdrawn" not in kinds(system)
 
 
+@pytest.mark.slow
 def test_dual_slam_recovers_from_a_doubted_map(sequence, wandering):
     system, _ = run("dual", sequence)
     assert {"poses_withdrawn", "map_saved"} <= set(kinds(system))

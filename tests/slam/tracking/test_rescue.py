@@ -67,6 +67,7 @@ def test_frames_that_show_nothing_are_not_rescued(max_s):
     assert "breakage" in kinds(system) and "rescue_start" not in kinds(system)
 
 
+@pytest.mark.slow
 def test_a_rescue_ends_in_a_breakage_when_it_takes_too_long():
     images = smeared_scene().images
     system, results = run([*images[:56], *([images[55]] * 30)], 0.2)

@@ -115,6 +115,7 @@ def build_wheel(directory, *_):
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="git is not here")
+@pytest.mark.slow
 def test_a_commit_is_installed_with_its_locked_versions_and_warm(
     dslab, monkeypatch, cache, wheel, repository
 ):
