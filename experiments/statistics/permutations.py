@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -119,15 +120,23 @@ class _Replicates:
 
     def permuted(self, rng: np.random.Generator) -> float:
         """The same with every thread's replicates in another order within their sequences."""
-        product, replicates = self.x[:, 0].copy(), self.x.shape[-1]
+        product = self.x[:, 0].copy()
         for j in range(1, self.x.shape[1]):
             # Valid replicates in random order first, then the void ones, whose weight is 0 anyway.
             order = np.argsort(np.where(self.valid, rng.random(self.valid.shape), 2.0), axis=1)
-            slot = np.argsort(np.where(self.valid, np.arange(replicates), replicates), axis=1, kind="stable")
-            target = np.empty_like(order)
-            np.put_along_axis(target, slot, order, axis=1)
-            product *= np.take_along_axis(self.x[:, j], np.broadcast_to(target, product.shape), axis=2)
+            target = self._first + order.ravel()[self._slots]
+            product *= np.take(self.x[:, j].reshape(len(product), -1), target, axis=1)
         return float((product * self.weight).sum())
+
+    @cached_property
+    def _first(self) -> np.ndarray:
+        """(W S, 1) flat index of the first replicate of each sequence."""
+        return np.arange(0, self.valid.size, self.valid.shape[1])[:, None]
+
+    @cached_property
+    def _slots(self) -> np.ndarray:
+        """(W S, K) flat index of each replicate's place when the valid ones come first."""
+        return self._first + np.argsort(np.argsort(~self.valid, axis=1, kind="stable"), axis=1)
 
 
 def _two_sided(observed: float, moved: Floats) -> float:

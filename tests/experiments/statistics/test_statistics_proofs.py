@@ -7,7 +7,7 @@ from dslab.experiments.statistics.proofs import prove
 
 @pytest.mark.slow
 def test_the_statistics_do_on_known_experiments_what_is_claimed():
-    proofs = list(prove(60, seed=1, workers=2))
+    proofs = list(prove(40, seed=1, workers=2))
     assert len(proofs) > 25 and all(proof.experiments > 5 for proof in proofs)
     assert [proof.name for proof in proofs if not proof.holds(errors=3.0)] == []
 
