@@ -64,9 +64,6 @@ def nothing(index):
     )  # fmt: skip
 
 
-# -- every frame ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("order", [range(1, LAST + 1), range(LAST - 1, -1, -1)], ids=["forward", "backward"])
 def test_a_walk_is_tracked_in_either_direction_of_time(known, sightings, order):
     start = sightings[order[0] - 1 if order.step > 0 else order[0] + 1]
@@ -131,9 +128,6 @@ def test_observed_points_are_counted_as_visible_and_found(known, sightings):
     assert (a.pt_visible - visible).sum() > tracked.sum()
 
 
-# -- prediction ----------------------------------------------------------------------------------------------
-
-
 def test_the_velocity_is_the_last_step(known, sightings):
     tracker = started(known, sightings[0])
     assert tracker.velocity is None
@@ -168,9 +162,6 @@ def test_the_parent_replaces_a_culled_reference_keyframe(known, sightings):
     assert tracker.track(frame).success
     assert not far(frame, sightings[11])
     assert frame.reference_keyframe != 2
-
-
-# -- failure -------------------------------------------------------------------------------------------------
 
 
 def test_another_scene_is_not_tracked_and_changes_nothing(known, sightings):
