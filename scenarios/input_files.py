@@ -97,10 +97,10 @@ def read_bytes(path: Path, most_bytes: int, if_missing: str = "check the path") 
 
 
 def read_text(path: Path, most_bytes: int, if_missing: str = "check the path") -> str:
-    """The text of a UTF-8 file. Arguments and errors as ``open_file``."""
+    """The text of a UTF-8 file, without a byte-order mark. Arguments and errors as ``open_file``."""
     content = read_bytes(path, most_bytes, if_missing)
     try:
-        return content.decode("utf-8")
+        return content.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(str(path), "is not UTF-8 text", "save it as UTF-8, or copy it again") from None
 

@@ -25,7 +25,7 @@ def lens_fault(
         size_px: width and height of the image.
         focal_px: fx and fy.
         centre_px: principal point; integer coordinates are pixel centres.
-        model: ``radtan`` or ``equidistant``.
+        model: ``radtan``, ``rational`` or ``equidistant``.
         coefficients: of the model, in OpenCV's order.
     """
     width, height = size_px
@@ -55,27 +55,30 @@ def straightened(bent: np.ndarray, model: str, coefficients: tuple[float, ...]) 
 
     Args:
         bent: (N, 2) distorted points at unit depth.
-        model: ``radtan`` or ``equidistant``.
+        model: ``radtan``, ``rational`` or ``equidistant``.
         coefficients: of the model, in OpenCV's order.
 
     Returns:
         (N, 2) float64 rays at unit depth, NaN where there is none, it points backward, or the lens has folded
         the image before it.
     """
-    straighten = _straighten_equidistant if model == "equidistant" else _straighten_radtan
+    straighten = _straighten_equidistant if model == "equidistant" else _straighten_rational
     parts = np.array_split(bent, len(bent) // _AT_ONCE + 1)
     with np.errstate(all="ignore"):
         return np.concatenate([straighten(part, coefficients) for part in parts])
 
 
-def _straighten_radtan(bent: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
-    k1, k2, p1, p2, k3 = coefficients
+def _straighten_rational(bent: np.ndarray, coefficients: tuple[float, ...]) -> np.ndarray:
+    """The model radtan is the rational one without its last three coefficients."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, 0.0, 0.0, 0.0)[:8]
     x, y = bent.T.copy()
     sound = np.zeros(len(bent), bool)
     for _ in range(_ROUNDS):
         r2 = x * x + y * y
-        radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        growth = 2 * (k1 + r2 * (2 * k2 + r2 * 3 * k3))
+        above, below = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        slope_above, slope_below = k1 + r2 * (2 * k2 + r2 * 3 * k3), k4 + r2 * (2 * k5 + r2 * 3 * k6)
+        radial = above / below
+        growth = 2 * ((slope_above * below - above * slope_below) / (below * below))
         error_x = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x) - bent[:, 0]
         error_y = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y - bent[:, 1]
         xx = radial + growth * x * x + 2 * p1 * y + 6 * p2 * x
@@ -84,7 +87,7 @@ def _straighten_radtan(bent: np.ndarray, coefficients: tuple[float, ...]) -> np.
         determinant = xx * yy - xy * xy
         solved = np.abs(error_x) + np.abs(error_y) < _SOLVED
         # Beyond a fold the image is inverted.
-        sound = solved & (determinant > 0) & (radial > 0)
+        sound = solved & (determinant > 0) & (radial > 0) & (below > 0)
         if solved.all():
             break
         x = np.where(solved, x, x - (yy * error_x - xy * error_y) / determinant)

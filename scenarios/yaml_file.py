@@ -15,7 +15,7 @@ Location = tuple[str | int, ...]
 """Keys and indices from the root to a part."""
 
 _MERGE = "<<"
-_OPENCV_HEADER = re.compile(r"^%YAML:.*$", re.MULTILINE)
+_OPENCV = re.compile(r"^%YAML:.*$|!!opencv-matrix", re.MULTILINE)
 _MOST_PARTS, _MOST_DEPTH = 20_000, 40
 
 
@@ -66,7 +66,7 @@ def read_yaml(
     """Read one file.
 
     Args:
-        path: of the file; OpenCV's line ``%YAML:1.0`` is skipped.
+        path: of the file; OpenCV's line ``%YAML:1.0`` and its tags of matrices are skipped.
         holds: its expected content, for the fault.
         example: source of an example, for the fault.
         if_missing: advice if there is no such file; None for the example.
@@ -77,7 +77,7 @@ def read_yaml(
             mapping, has a key twice, or a number that is not finite.
     """
     text = read_text(path, SETTINGS_BYTES, if_missing or f"check the path, or start from {example}")
-    plain = _OPENCV_HEADER.sub("", text)
+    plain = _OPENCV.sub("", text)
     try:
         _check_bounds(path, plain)
         root = yaml.compose(plain, Loader=yaml.SafeLoader)

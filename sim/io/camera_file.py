@@ -8,6 +8,7 @@ import yaml
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.lenses import lens_fault
 from dslab.scenarios.yaml_file import read_yaml
+from dslab.sim.io.calibrations import KNOWN, read_calibration, split_name
 from dslab.sim.io.layout import CAMERA_KEYS
 from dslab.sim.io.text import number_at, numbers_at
 from dslab.sim.sensors.camera import DISTORTION_KEYS, LEAST_SIDE_PX, MOST_PIXELS, MOST_SIDE_PX, Intrinsics
@@ -15,14 +16,37 @@ from dslab.sim.sensors.camera import DISTORTION_KEYS, LEAST_SIDE_PX, MOST_PIXELS
 _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE = 0.1, 20
 
 
-def read_camera(path: Path) -> Intrinsics:
-    """Read the intrinsics of a camera.yaml; ``model`` defaults to radtan.
+def read_camera(path: Path, size_px: tuple[int, int] | None = None, fps: float | None = None) -> Intrinsics:
+    """Read the intrinsics of a camera.yaml or of any form that ``sim.io.calibrations`` knows.
+
+    Args:
+        path: the file; ``FILE:NAME`` for one of several cameras.
+        size_px: of the images, if the file does not say it.
+        fps: frame rate, if the file does not say it.
 
     Raises:
         InputError: the file or a key is missing, or a value is impossible.
     """
+    file, name = split_name(path)
+    found = read_calibration(file, name)
+    if found is None:
+        return _own_camera(file)
+    size_px, fps = found.size_px or size_px, found.fps or fps
+    for key, value, option in (("size", size_px, "--size 640x480"), ("fps", fps, "--fps 30")):
+        if value is None:
+            remedy = f"write `dslab camera {path} {option} > camera.yaml` and give that file"
+            raise InputError(f"{path}: {key}", f"a file of the form {found.form} has none", remedy)
+    camera = Intrinsics(*size_px, *found.focal_px, *found.centre_px, fps, found.distortion, found.model)
+    check_camera(path, camera)
+    return camera
+
+
+def _own_camera(path: Path) -> Intrinsics:
+    """The intrinsics of a camera.yaml; ``model`` defaults to radtan."""
     example = f"the keys {', '.join(CAMERA_KEYS)}"
     values = dict(read_yaml(path, "intrinsics", example, f"add it with {example}").data)
+    if not set(CAMERA_KEYS) & set(values):
+        raise InputError(str(path), "is no calibration of a known form", f"give one of: {KNOWN}")
     model = values.pop("model", "radtan")
     if not isinstance(model, str) or model not in DISTORTION_KEYS:
         models = " or ".join(DISTORTION_KEYS)

@@ -5,10 +5,11 @@ from typing import Literal
 
 import numpy as np
 
-LensModel = Literal["radtan", "equidistant"]
+LensModel = Literal["radtan", "rational", "equidistant"]
 
 DISTORTION_KEYS: dict[str, tuple[str, ...]] = {
     "radtan": ("k1", "k2", "p1", "p2", "k3"),
+    "rational": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
 """Names of the coefficients of each lens model, in OpenCV's order."""
@@ -22,8 +23,8 @@ MOST_PIXELS = 2**25
 class Intrinsics:
     """Intrinsics in pixels; integer pixel coordinates are pixel centres, as in OpenCV.
 
-    Distortion is OpenCV's, dimensionless: of the model ``radtan`` (k1, k2, p1, p2, k3), of the model
-    ``equidistant`` (OpenCV's fisheye) (k1, k2, k3, k4).
+    Distortion is OpenCV's, dimensionless: of the model ``radtan`` (k1, k2, p1, p2, k3), of ``rational`` three
+    more (k4, k5, k6), of ``equidistant`` (OpenCV's fisheye) (k1, k2, k3, k4).
     """
 
     width_px: int
@@ -67,4 +68,4 @@ class Intrinsics:
     @property
     def is_pinhole(self) -> bool:
         """Return True if the camera has no distortion."""
-        return self.model == "radtan" and not any(self.distortion)
+        return self.model != "equidistant" and not any(self.distortion)

@@ -14,7 +14,7 @@ _UNDISTORT_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 _MOST_UNDISTORT_ERROR_PX = 0.5
 Residual = tuple[float, float, float, float]
 NO_RESIDUAL: Residual = (0.0, 0.0, 0.0, 0.0)
-_COEFFICIENTS = {"radtan": 5, "equidistant": 4}
+_COEFFICIENTS = {"radtan": 5, "rational": 8, "equidistant": 4}
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class PinholeCamera:
     calibrated but estimated, see :mod:`slam.optimization.lens`. So is ``readout_s``, the time in which a
     rolling shutter reads the image from its first row to its last; 0 for a global one.
 
-    ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, (k1, k2, k3, k4) for the
-    model ``equidistant`` (OpenCV's fisheye).
+    ``distortion`` follows OpenCV: (k1, k2, p1, p2, k3) for the model ``radtan``, with (k4, k5, k6) for
+    ``rational``, (k1, k2, k3, k4) for ``equidistant`` (OpenCV's fisheye).
 
     Raises:
         ValueError: a field is out of range (the message names it), or the distortion folds the image over
@@ -43,7 +43,7 @@ class PinholeCamera:
     cy: float
     fps: float
     distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    model: Literal["radtan", "equidistant"] = "radtan"
+    model: Literal["radtan", "rational", "equidistant"] = "radtan"
     residual: Residual = NO_RESIDUAL
     readout_s: float = 0.0
 
@@ -178,7 +178,7 @@ class PinholeCamera:
 
     @property
     def _is_pinhole(self) -> bool:
-        return self.model == "radtan" and not any(self.distortion)
+        return self.model != "equidistant" and not any(self.distortion)
 
     def _outline(self) -> np.ndarray:
         x = np.arange(self.width_px + 1, dtype=np.float32) - 0.5

@@ -1,0 +1,128 @@
+"""Calibrations as tables of numbers: COLMAP's cameras.txt, DSO's camera.txt, KITTI's calib.txt.
+
+KITTI counts pixels from the centre of the first one, as the lab does; COLMAP and DSO from its corner.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from dslab.scenarios.errors import InputError
+from dslab.sim.io.calibration import (
+    CORNER,
+    Calibration,
+    chosen,
+    fov_lens,
+    is_number,
+    lens_model,
+    lens_of,
+    whole,
+)
+from dslab.sim.io.text import check_words, read_rows, to_numbers
+from dslab.sim.sensors.camera import DISTORTION_KEYS
+
+_COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": "f cx cy",
+    "PINHOLE": "fx fy cx cy",
+    "SIMPLE_RADIAL": "f cx cy k1",
+    "RADIAL": "f cx cy k1 k2",
+    "OPENCV": "fx fy cx cy k1 k2 p1 p2",
+    "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
+    "FULL_OPENCV": "fx fy cx cy k1 k2 p1 p2 k3 k4 k5 k6",
+    "FOV": "fx fy cx cy omega",
+    "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
+    "RADIAL_FISHEYE": "f cx cy k1 k2",
+}
+_DSO_MODELS = {
+    **dict.fromkeys(("pinhole", "fov", "atan"), "fx fy cx cy omega"),
+    **dict.fromkeys(("equidistant", "kannalabrandt"), "fx fy cx cy k1 k2 k3 k4"),
+    "radtan": "fx fy cx cy k1 k2 p1 p2",
+}
+
+
+def _colmap(path: Path, name: str) -> Calibration:
+    rows = {words[0]: (where, words[1], words[2:]) for where, words in read_rows(path, "") if len(words) > 4}
+    where, kind, words = rows[chosen(str(path), name, list(rows), alone=True)]
+    if kind not in _COLMAP_MODELS:
+        lens_model(where, kind)
+        raise InputError(where, f"{kind!r} is no known lens model", f"use {', '.join(_COLMAP_MODELS)}")
+    names = ["width", "height", *_COLMAP_MODELS[kind].split()]
+    check_words(where, words, names)
+    values = dict(zip(names, to_numbers(where, words, names), strict=True))
+    size = whole(where, values["width"], values["height"])
+    focal = (values.get("fx", values.get("f", 0.0)), values.get("fy", values.get("f", 0.0)))
+    centre = (values["cx"] - CORNER, values["cy"] - CORNER)
+    return _of_text("COLMAP cameras.txt", where, kind, values, focal, centre, size)
+
+
+def _dso(path: Path, name: str) -> Calibration:
+    rows = list(read_rows(path, ""))
+    (where, words), (size_at, size_words) = rows[:2]
+    kind = words[0].lower() if not is_number(words[0]) else "radtan" if len(words) == 8 else "fov"
+    words = words if is_number(words[0]) else words[1:]
+    if kind not in _DSO_MODELS:
+        raise InputError(where, f"{kind!r} is no known lens model", "use Pinhole, FOV, RadTan or EquiDistant")
+    names = _DSO_MODELS[kind].split()
+    check_words(where, words, names)
+    values = dict(zip(names, to_numbers(where, words, names), strict=True))
+    check_words(size_at, size_words, ["width", "height"])
+    size = whole(size_at, *to_numbers(size_at, size_words, ["width", "height"]))
+    focal, centre = (values["fx"], values["fy"]), (values["cx"], values["cy"])
+    if max(centre) <= 1:
+        # Relative to the image, whose origin is the corner of the first pixel.
+        focal = (focal[0] * size[0], focal[1] * size[1])
+        centre = (centre[0] * size[0] - CORNER, centre[1] * size[1] - CORNER)
+    return _of_text("DSO camera.txt", where, kind, values, focal, centre, size)
+
+
+def _of_text(
+    form: str,
+    where: str,
+    kind: str,
+    values: Mapping[str, float],
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    size: tuple[int, int],
+) -> Calibration:
+    if "omega" in values:
+        return Calibration(form, **fov_lens(focal, centre, size, values["omega"]), size_px=size)
+    model = "equidistant" if "FISHEYE" in kind else lens_model(where, kind)
+    given = [values.get(key, 0.0) for key in DISTORTION_KEYS[model]]
+    return Calibration(form, focal, centre, **lens_of(where, model, given), size_px=size)
+
+
+def _kitti(path: Path, name: str) -> Calibration:
+    rows = {words[0].rstrip(":"): (where, words[1:]) for where, words in read_rows(path, "")}
+    cameras = [key for key in rows if re.fullmatch(r"P\d|P_rect_\d\d", key)]
+    wanted = name if name in rows or not name.isdigit() else f"P_rect_{int(name):02d}"
+    key = chosen(str(path), wanted, cameras)
+    where, words = rows[key]
+    names = [f"{key}[{i}]" for i in range(12)]
+    check_words(where, words, names)
+    fx, skew, cx, _, other, fy, cy, _, *last = to_numbers(where, words, names)
+    if skew or other or last[:3] != [0, 0, 1]:
+        remedy = "write fx 0 cx 0 0 fy cy 0 0 0 1 0"
+        raise InputError(f"{where}: {key}", "is no projection of a rectified camera", remedy)
+    size = None
+    if (at := rows.get(key.replace("P_", "S_"))) and key.startswith("P_rect"):
+        size = whole(at[0], *to_numbers(at[0], at[1], ["width", "height"]))
+    return Calibration("KITTI calibration", (fx, fy), (cx, cy), size_px=size, fps=10.0)
+
+
+def _all_match(pattern: str, lines: list[str]) -> bool:
+    return bool(lines) and all(re.match(pattern, line) for line in lines)
+
+
+def _dso_like(lines: list[str]) -> bool:
+    lens, size = lines[:1], lines[1:2]
+    return _all_match(r"\s*([A-Za-z]+\s+)?[-+.\deE]+(\s+[-+.\deE]+){4,7}\s*$", lens) and _all_match(
+        r"\s*\d+\s+\d+\s*$", size
+    )
+
+
+TABLES: tuple[tuple[Callable[[list[str]], bool], Callable[[Path, str], Calibration]], ...] = (
+    (lambda lines: any(re.match(r"(P\d|P_rect_\d\d):\s", line) for line in lines), _kitti),
+    (lambda lines: _all_match(r"\d+\s+[A-Z_]{3,}\s+\d+\s+\d+\s", lines), _colmap),
+    (_dso_like, _dso),
+)
+"""Of each form: true for its lines, and its reader."""
