@@ -116,6 +116,15 @@ def check_size(where: str, width_px: int, height_px: int) -> None:
         raise InputError(f"{where}: width", problem, "give smaller images")
 
 
+def other_size(where: str, size: tuple[int, int], shape: tuple[int, int], authority: str) -> InputError:
+    """The fault of an image of a (width, height) that is not the (H, W) of its camera's file."""
+    problem = f"is {size[0]}x{size[1]} pixels, {authority} says {shape[1]}x{shape[0]}"
+    remedy = (
+        f"give the calibration of this size: `dslab camera {authority} --scale {size[0]}x{size[1]}` scales it"
+    )
+    return InputError(where, problem, remedy)
+
+
 def write_camera(camera: Intrinsics, path: Path) -> None:
     """Write a camera.yaml that ``read_camera`` reads back exactly."""
     record: dict[str, Any] = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}

@@ -14,7 +14,7 @@ import numpy as np
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import IMAGE_BYTES, file_names, open_file, read_bytes
-from dslab.sim.io.camera_file import check_size
+from dslab.sim.io.camera_file import check_size, other_size
 from dslab.sim.io.image_header import header_size, is_whole
 from dslab.sim.io.layout import DEPTH_PER_M
 from dslab.sim.io.text import to_frame_number
@@ -200,7 +200,7 @@ def _decoded(data: bytes, where: str, mode: int, shape: tuple[int, int], authori
     # A camera's note in the header may turn the image by a right angle.
     turned = size == shape and b"exif" in data[:_NOTED_BYTES].lower()
     if size != shape[::-1] and not turned:
-        raise _other_size(where, size, shape, authority)
+        raise other_size(where, size, shape, authority)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
     except cv2.error:
@@ -208,10 +208,5 @@ def _decoded(data: bytes, where: str, mode: int, shape: tuple[int, int], authori
     if image is None:
         raise InputError(where, "is no readable image", "copy or write this image again")
     if image.shape[:2] != shape:
-        raise _other_size(where, (image.shape[1], image.shape[0]), shape, authority)
+        raise other_size(where, (image.shape[1], image.shape[0]), shape, authority)
     return image
-
-
-def _other_size(where: str, size: tuple[int, int], shape: tuple[int, int], authority: str) -> InputError:
-    problem = f"is {size[0]}x{size[1]} pixels, {authority} says {shape[1]}x{shape[0]}"
-    return InputError(where, problem, f"correct the size in {authority} or the image")

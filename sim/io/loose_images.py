@@ -8,7 +8,7 @@ import numpy as np
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import file_names, is_folder, is_given
 from dslab.sim.io.camera_file import read_camera
-from dslab.sim.io.images import GrayFolder
+from dslab.sim.io.images import GrayFolder, image_shape
 from dslab.sim.io.text import check_present
 from dslab.sim.sequence import Sequence
 
@@ -23,13 +23,12 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
 
     Args:
         folder: its other files and its folders are left alone.
-        camera_file: a camera.yaml; see ``sim.io.layout``.
+        camera_file: a camera.yaml, or another calibration; see ``read_camera``.
 
     Raises:
         InputError: the camera cannot be read, there is no such folder or no image in it, or one is empty.
             Reading a frame raises it too, if the image is unreadable or of another size.
     """
-    camera = read_camera(camera_file)
     if not is_folder(folder):
         problem = "is no folder" if is_given(folder) else "no such folder"
         raise InputError(str(folder), problem, "give a folder of images, or a video file")
@@ -38,6 +37,8 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
         raise InputError(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES)}")
     paths = [folder / name for name in names]
     check_present(paths, str(folder))
+    height, width = image_shape(paths[0])
+    camera = read_camera(camera_file, (width, height))
     frames = GrayFolder(paths, (camera.height_px, camera.width_px), str(camera_file))
     return Sequence(
         name=folder.resolve().name,

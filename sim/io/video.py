@@ -13,7 +13,7 @@ import numpy as np
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import open_file
 from dslab.sim.cache import FolderCache, content_key
-from dslab.sim.io.camera_file import check_camera, read_camera
+from dslab.sim.io.camera_file import check_camera, other_size, read_camera
 from dslab.sim.io.raw import RawFrames, RawWriter
 from dslab.sim.room import Need, check_room
 from dslab.sim.sequence import Sequence
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mpg", ".mpeg")
 """Of the names of video files, in either case."""
 _REMEDY = "give a video that FFmpeg decodes, or its images as a folder"
+_MOST_FPS = 1000.0
+# A container without a list of its frames gives their number by duration and mean rate.
+_MOST_LACKING = 0.02
 _FRAMES, _STAMPS = "gray.npy", "stamps.npy"
 
 
@@ -45,24 +48,30 @@ def load_video(
 
     Args:
         path: the file.
-        camera_file: a camera.yaml; see ``sim.io.layout``. Its rate counts only if the video has no times.
+        camera_file: a camera.yaml, or another calibration; see ``read_camera``. Its rate counts only if the
+            video has no times.
         cache_dir: folder of the cache; None for the default one.
         progress: called with (step, frames done, frames in all) while decoding.
-        force: begin even if the frames seem too many for the disk.
+        force: begin even if the frames seem too many for the disk, or some cannot be decoded.
 
     Raises:
         InputError: the camera or the video cannot be read, the video has no frame or frames of another size
             than the camera, there is no room for them.
     """
-    camera = read_camera(camera_file)
+    width, height, fps, count = _properties(path)
+    camera = read_camera(camera_file, (width, height), fps)
+    size = (camera.height_px, camera.width_px)
+    if size != (height, width):
+        raise other_size(str(path), (width, height), size, str(camera_file))
     with open_file(path) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    size = (camera.height_px, camera.width_px)
     store, key = FolderCache(cache_dir), content_key({"video": digest, "size": size, "fps": camera.fps})
     if store.find(key) is None:
-        stamps_s = _read_stamps(path, camera_file, size, camera.fps)
-        what_bytes = len(stamps_s) * size[0] * size[1]
-        check_room(str(path), len(stamps_s), [Need(store.root, what_bytes)], force)
+        stamps_s = _read_stamps(path, camera.fps)
+        if len(stamps_s) < (1 - _MOST_LACKING) * count - 1 and not force:
+            problem = f"{len(stamps_s)} of its {count} frames can be decoded"
+            raise InputError(str(path), problem, "copy it again; --force takes what there is")
+        check_room(str(path), len(stamps_s), [Need(store.root, len(stamps_s) * size[0] * size[1])], force)
         with store.create(key) as folder:
             np.save(folder / _STAMPS, stamps_s)
             _decode(path, folder / _FRAMES, (len(stamps_s), *size), progress)
@@ -84,17 +93,22 @@ def load_video(
     )
 
 
-def _read_stamps(path: Path, camera_file: Path, size: tuple[int, int], fps: float) -> np.ndarray:
+def _properties(path: Path) -> tuple[int, int, float | None, int]:
+    """Width, height, frame rate, None if the file does not say it, and number of frames, 0 likewise."""
+    import cv2
+
+    open_file(path).close()
+    with _opened(path) as video:
+        names = ("FRAME_WIDTH", "FRAME_HEIGHT", "FPS", "FRAME_COUNT")
+        width, height, fps, count = (video.get(getattr(cv2, f"CAP_PROP_{name}")) for name in names)
+    return int(width), int(height), fps if 0 < fps < _MOST_FPS else None, max(0, int(count))
+
+
+def _read_stamps(path: Path, fps: float) -> np.ndarray:
     """(N,) times of the frames, seconds; by the rate where the video's own do not increase."""
     import cv2
 
     with _opened(path) as video:
-        found = tuple(
-            int(video.get(field)) for field in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
-        )
-        if found != size[::-1]:
-            problem = f"is {found[0]}x{found[1]} pixels, {camera_file} says {size[1]}x{size[0]}"
-            raise InputError(str(path), problem, f"correct the size in {camera_file}, with the intrinsics")
         stamps_ms: list[float] = []
         while video.grab():
             stamps_ms.append(video.get(cv2.CAP_PROP_POS_MSEC))
