@@ -8,6 +8,7 @@ import typer
 
 from dslab.experiments.cli import bench, cache, config, experiment, systems, vocabulary
 from dslab.experiments.cli.batch import batch_command
+from dslab.experiments.cli.camera import camera_command
 from dslab.experiments.cli.compare import compare_command
 from dslab.experiments.cli.degrade import degrade_command
 from dslab.experiments.cli.demo import demo_command
@@ -41,6 +42,7 @@ app.command("render")(render_command)
 app.add_typer(cache.app, name="cache")
 app.command("degrade")(degrade_command)
 app.command("export")(export_command)
+app.command("camera")(camera_command)
 app.command("run")(run_command)
 app.add_typer(systems.app, name="systems")
 app.command("batch")(batch_command)

@@ -80,7 +80,7 @@ CameraOption = Annotated[
     typer.Option(
         "--camera",
         metavar="FILE",
-        help="camera.yaml of a folder of images without any list, or of a video file.",
+        help="Calibration for images without any list or for a video: see `dslab camera`.",
         show_default=False,
     ),
 ]

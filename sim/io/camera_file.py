@@ -27,10 +27,17 @@ def read_camera(path: Path, size_px: tuple[int, int] | None = None, fps: float |
     Raises:
         InputError: the file or a key is missing, or a value is impossible.
     """
+    return camera_and_form(path, size_px, fps)[0]
+
+
+def camera_and_form(
+    path: Path, size_px: tuple[int, int] | None = None, fps: float | None = None
+) -> tuple[Intrinsics, str]:
+    """As ``read_camera``, and what the file was read as."""
     file, name = split_name(path)
     found = read_calibration(file, name)
     if found is None:
-        return _own_camera(file)
+        return _own_camera(file), "camera.yaml"
     size_px, fps = found.size_px or size_px, found.fps or fps
     for key, value, option in (("size", size_px, "--size 640x480"), ("fps", fps, "--fps 30")):
         if value is None:
@@ -38,7 +45,7 @@ def read_camera(path: Path, size_px: tuple[int, int] | None = None, fps: float |
             raise InputError(f"{path}: {key}", f"a file of the form {found.form} has none", remedy)
     camera = Intrinsics(*size_px, *found.focal_px, *found.centre_px, fps, found.distortion, found.model)
     check_camera(path, camera)
-    return camera
+    return camera, f"{found.form}; {found.note}" if found.note else found.form
 
 
 def _own_camera(path: Path) -> Intrinsics:
@@ -127,9 +134,14 @@ def other_size(where: str, size: tuple[int, int], shape: tuple[int, int], author
 
 def write_camera(camera: Intrinsics, path: Path) -> None:
     """Write a camera.yaml that ``read_camera`` reads back exactly."""
+    path.write_text(camera_text(camera))
+
+
+def camera_text(camera: Intrinsics) -> str:
+    """The content of a camera.yaml."""
     record: dict[str, Any] = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy")}
     record |= {"width": camera.width_px, "height": camera.height_px, "fps": camera.fps}
     if camera.model != "radtan":
         record["model"] = camera.model
     record |= dict(zip(DISTORTION_KEYS[camera.model], camera.distortion, strict=True))
-    path.write_text(yaml.safe_dump(record, sort_keys=False))
+    return yaml.safe_dump(record, sort_keys=False)

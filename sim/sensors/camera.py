@@ -42,17 +42,18 @@ class Intrinsics:
         """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)
 
-    def scaled(self, width_px: int) -> "Intrinsics":
-        """The same view in images of another width, with pixels of the same shape."""
-        scale = width_px / self.width_px
+    def scaled(self, width_px: int, height_px: int | None = None) -> "Intrinsics":
+        """The same view in images of another size; without a height, with pixels of the same shape."""
+        along_x = width_px / self.width_px
+        along_y = along_x if height_px is None else height_px / self.height_px
         return replace(
             self,
             width_px=width_px,
-            height_px=max(2, round(self.height_px * scale)),
-            fx=self.fx * scale,
-            fy=self.fy * scale,
-            cx=(self.cx + 0.5) * scale - 0.5,
-            cy=(self.cy + 0.5) * scale - 0.5,
+            height_px=height_px or max(2, round(self.height_px * along_x)),
+            fx=self.fx * along_x,
+            fy=self.fy * along_y,
+            cx=(self.cx + 0.5) * along_x - 0.5,
+            cy=(self.cy + 0.5) * along_y - 0.5,
         )
 
     def rays(self) -> tuple[np.ndarray, np.ndarray]:

@@ -267,3 +267,15 @@ def test_what_cannot_be_read_is_one_line_with_the_remedy(name, text, says, tmp_p
     assert (
         says in str(caught.value) and str(Path(name)) in str(caught.value) and "\n" not in str(caught.value)
     )
+
+
+def test_the_command_shows_what_was_read_and_scales_it(dslab, tmp_path):
+    (tmp_path / "camchain.yaml").write_text(kalibr(RADTAN, "radtan", RADTAN.distortion[:4]))
+    code, out, err = dslab("camera", tmp_path / "camchain.yaml", "--fps", 20, "--scale", "376x240")
+    assert (code, err) == (0, "") and out.startswith(f"# {tmp_path}/camchain.yaml, read as Kalibr camchain\n")
+    (tmp_path / "camera.yaml").write_text(out)
+    read = read_camera(tmp_path / "camera.yaml")
+    assert (read.width_px, read.height_px, read.fx, read.cx) == (376, 240, 229.25, (367.25 + 0.5) / 2 - 0.5)
+    assert "another shape" in dslab("camera", tmp_path / "camera.yaml", "--scale", "640x480")[2]
+    code, out, err = dslab("camera", tmp_path / "camera.yaml", "--scale", "wide")
+    assert (code, out, err.count("\n")) == (2, "", 1) and "--scale: 'wide' is no size" in err
