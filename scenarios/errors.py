@@ -1,5 +1,6 @@
 """The exceptions for what a user can mend, with place, problem and remedy."""
 
+import warnings
 from collections.abc import Sequence
 
 
@@ -61,3 +62,12 @@ class MachineError(InputError):
     """A fault of the machine, not of the input: one clear line, exit code 1."""
 
     exit_code = 1
+
+
+class InputNotice(UserWarning):
+    """What was noticed of an input, and what was made of it."""
+
+
+def notice(where: str, said: str) -> None:
+    """Say what was noticed of an input: a warning in Python, one line on the terminal."""
+    warnings.warn(InputNotice(f"{where}: {said}"), stacklevel=3)

@@ -31,10 +31,27 @@ def lens_fault(
     width, height = size_px
     grid = np.meshgrid(np.linspace(-0.5, width - 0.5, _COLUMNS), np.linspace(-0.5, height - 0.5, _ROWS))
     bent = (np.stack(grid, axis=-1).reshape(-1, 2) - centre_px) / focal_px
-    if model == "equidistant" and np.hypot(*bent.T).max() > math.pi / 2:
-        problem = "the image reaches further from its centre than pi/2 focal lengths"
-        return problem, "give a longer focal length: OpenCV inverts the model only up to there"
     return ray_fault(straightened(bent, model, coefficients), coefficients)
+
+
+def sees_too_far(
+    size_px: tuple[int, int],
+    focal_px: tuple[float, float],
+    centre_px: tuple[float, float],
+    model: str,
+    coefficients: tuple[float, ...],
+) -> bool:
+    """True for a fisheye lens whose image reaches beyond ``MOST_HALF_ANGLE_DEG``, if it is sound up to there.
+
+    Arguments as of ``lens_fault``.
+    """
+    if model != "equidistant":
+        return False
+    t = np.radians(np.linspace(0, MOST_HALF_ANGLE_DEG, 100))
+    powers = np.array([1, *coefficients]) * t[:, None] ** np.arange(1, 10, 2)
+    radius = powers.sum(axis=1)
+    far = np.maximum(np.add(centre_px, 0.5), np.subtract(size_px, centre_px) - 0.5) / focal_px
+    return bool((np.diff(radius) > 0).all() and np.hypot(*far) > radius[-1])
 
 
 def ray_fault(rays: np.ndarray, coefficients: tuple[float, ...]) -> tuple[str, str] | None:

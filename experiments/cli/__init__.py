@@ -3,10 +3,12 @@
 import os
 import signal
 import sys
+import warnings
+from typing import Any
 
 from dslab.experiments.cli.signals import signals_as_interrupts
 from dslab.experiments.cli.streams import safe_streams
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, InputNotice
 
 
 def main() -> None:
@@ -17,6 +19,7 @@ def main() -> None:
     # With several threads, linear algebra adds up in another order, and workers contend for the cores.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with safe_streams(), signals_as_interrupts() as received:
+        warnings.showwarning = _show_warning
         try:
             # Imported here, so that a signal meanwhile is heeded too.
             from dslab.experiments.cli.commands import run_app
@@ -55,6 +58,17 @@ def _clear_up() -> None:
     remove_own()
     sweep_scratch()
     sweep(default_cache_dir(), UNFINISHED)
+
+
+_python_shows = warnings.showwarning
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *rest: Any) -> None:
+    """A notice about input is one line; other warnings are as Python shows them."""
+    if issubclass(category, InputNotice):
+        _say(f"note: {message}")
+    else:
+        _python_shows(message, category, *rest)
 
 
 def _say(line: str) -> None:

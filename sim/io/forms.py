@@ -10,6 +10,7 @@ from dslab.sim.io import euroc, kitti, layout, tartanair, tum, tum_mono, vslam_l
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
 from dslab.sim.io.video import is_video, load_video
+from dslab.sim.io.wide_lens import rectified_if_wide
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
 from dslab.sim.sequence import Sequence
 
@@ -101,14 +102,16 @@ def load_sequence(
             short, malformed or absurd. Reading a frame raises it too, if the image is unreadable or of
             another size.
     """
-    if camera is not None:
-        if is_video(path):
-            return load_video(Path(path), Path(camera), progress=progress, force=force)
-        return load_images(Path(path), Path(camera))
-    if is_video(path) and not is_folder(path):
+    if camera is None and is_video(path) and not is_folder(path):
         raise InputError(str(path), "a video says nothing of its camera", "add its intrinsics: --camera FILE")
-    folder = sequence_folder(Path(path))
-    return _LOADERS[detect_form(folder)](folder)
+    if camera is None:
+        folder = sequence_folder(Path(path))
+        sequence = _LOADERS[detect_form(folder)](folder)
+    elif is_video(path):
+        sequence = load_video(Path(path), Path(camera), progress=progress, force=force)
+    else:
+        sequence = load_images(Path(path), Path(camera))
+    return rectified_if_wide(str(path), sequence)
 
 
 def write_sequence(

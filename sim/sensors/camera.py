@@ -38,6 +38,21 @@ class Intrinsics:
     model: LensModel = "radtan"
 
     @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height."""
+        return self.width_px, self.height_px
+
+    @property
+    def focal_px(self) -> tuple[float, float]:
+        """Focal lengths."""
+        return self.fx, self.fy
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """Principal point."""
+        return self.cx, self.cy
+
+    @property
     def K(self) -> np.ndarray:
         """(3, 3) float64 camera matrix."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1]], float)

@@ -48,7 +48,8 @@ def opencv_xml(camera):
     return (
         f'<?xml version="1.0"?>\n<opencv_storage>\n<image_width>{c.width_px}</image_width>'
         f"<image_height>{c.height_px}</image_height>"
-        f'<Camera_Matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt><data>{K}</data></Camera_Matrix>'
+        '<Camera_Matrix type_id="opencv-matrix"><rows>3</rows><cols>3</cols><dt>d</dt>'
+        f"<data>{K}</data></Camera_Matrix>"
         f'<Distortion_Coefficients type_id="opencv-matrix"><rows>5</rows><cols>1</cols><dt>d</dt><data>{dist}'
         f"</data></Distortion_Coefficients>\n</opencv_storage>\n"
     )
@@ -59,7 +60,8 @@ def ros(camera, model, keys="camera_matrix distortion_coefficients"):
     size = "image_width: {}\nimage_height: {}\n" if K == "camera_matrix" else "width: {}\nheight: {}\n"
     data = [c.fx, 0.0, c.cx, 0.0, c.fy, c.cy, 0.0, 0.0, 1.0]
     both = (
-        f"{K}:\n  rows: 3\n  cols: 3\n  data: {data}\n{D}:\n  rows: 1\n  cols: 5\n  data: {list(c.distortion)}\n"
+        f"{K}:\n  rows: 3\n  cols: 3\n  data: {data}\n"
+        f"{D}:\n  rows: 1\n  cols: 5\n  data: {list(c.distortion)}\n"
         if K == "camera_matrix"
         else f"{K}: {data}\n{D}: {list(c.distortion)}\n"
     )
@@ -70,7 +72,8 @@ def kalibr(camera, lens, coefficients):
     c = camera
     other = "cam1:\n  camera_model: pinhole\n  intrinsics: [1, 1, 1, 1]\n  resolution: [9, 9]\n"
     return (
-        f"cam0:\n  camera_model: pinhole\n  distortion_model: {lens}\n  distortion_coeffs: {list(coefficients)}\n"
+        f"cam0:\n  camera_model: pinhole\n  distortion_model: {lens}\n"
+        f"  distortion_coeffs: {list(coefficients)}\n"
         f"  intrinsics: [{c.fx}, {c.fy}, {c.cx}, {c.cy}]\n  resolution: [{c.width_px}, {c.height_px}]\n"
         f"  rostopic: /cam0\n{other}"
     )
@@ -106,7 +109,8 @@ def vins_fisheye(camera):
     )
     inside = "".join(f"   {key}: {value}\n" for key, value in rows.items())
     return (
-        f"%YAML:1.0\n---\nmodel_type: KANNALA_BRANDT\nimage_width: {c.width_px}\nimage_height: {c.height_px}\n"
+        "%YAML:1.0\n---\nmodel_type: KANNALA_BRANDT\n"
+        f"image_width: {c.width_px}\nimage_height: {c.height_px}\n"
         f"projection_parameters:\n{inside}"
     )
 
@@ -114,7 +118,8 @@ def vins_fisheye(camera):
 def colmap(camera, model, *parameters):
     c = camera
     values = [c.fx, c.fy, c.cx + 0.5, c.cy + 0.5, *parameters]
-    return f"# Camera list\n#   CAMERA_ID, MODEL, ...\n1 {model} {c.width_px} {c.height_px} {' '.join(map(str, values))}\n"
+    words = " ".join(map(str, values))
+    return f"# Camera list\n#   CAMERA_ID, MODEL, ...\n1 {model} {c.width_px} {c.height_px} {words}\n"
 
 
 def transforms(camera):
@@ -137,8 +142,9 @@ def dso(camera, name, *lens, relative=True):
 def euroc(camera):
     c = camera
     return (
-        "%YAML:1.0\nsensor_type: camera\nT_BS:\n  rows: 4\n  cols: 4\n  data: [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, "
-        f"0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0]\nrate_hz: {c.fps:g}\nresolution: [{c.width_px}, {c.height_px}]\n"
+        "%YAML:1.0\nsensor_type: camera\nT_BS:\n  rows: 4\n  cols: 4\n"
+        f"  data: {np.eye(4).ravel().tolist()}\n"
+        f"rate_hz: {c.fps:g}\nresolution: [{c.width_px}, {c.height_px}]\n"
         f"camera_model: pinhole\nintrinsics: [{c.fx}, {c.fy}, {c.cx}, {c.cy}]\n"
         f"distortion_model: radial-tangential\ndistortion_coefficients: {list(c.distortion[:4])}\n"
     )
@@ -202,7 +208,7 @@ def test_every_form_gives_its_camera(name, tmp_path):
 def test_a_suffix_names_the_camera(tmp_path):
     (tmp_path / "calib.txt").write_text(KITTI)
     assert read_camera(tmp_path / "calib.txt:P2", (1241, 376)).fx == 710
-    with pytest.raises(InputError, match="holds no camera 'P7'.*P0, P2"):
+    with pytest.raises(InputError, match=r"holds no camera 'P7'.*P0, P2"):
         read_camera(tmp_path / "calib.txt:P7", (1241, 376))
 
 
@@ -244,22 +250,23 @@ def test_every_lens_is_undone(camera):
     assert np.abs(slam.undistort_points(xy.astype(np.float32)) - ideal).max() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "says"),
-    [
-        ("camchain.yaml", kalibr(RADTAN, "radtan", [0, 0, 0, 0]).replace("camera_model: pinhole", "camera_model: omni"), "'omni', the unified (MEI) model, is not supported"),
-        ("camchain.yaml", kalibr(RADTAN, "none", []).replace("camera_model: pinhole", "camera_model: ds"), "the double sphere model, is not supported"),
-        ("vins.yaml", vins(RADTAN).replace("PINHOLE", "MEI"), "'MEI', the unified (MEI) model, is not supported"),
-        ("cameras.txt", colmap(RADTAN, "THIN_PRISM_FISHEYE", *[0] * 8), "the thin prism model, is not supported"),
-        ("cameras.txt", colmap(PLAIN, "PINHOLE") + colmap(PLAIN, "PINHOLE").splitlines()[-1].replace("1", "2", 1), "holds 2 cameras; add one of 1, 2"),
-        ("TUM1.yaml", by_keys(FIVE, "Camera.", "").replace("width", "w"), "size: a file of the form ORB-SLAM settings has none; write `dslab camera"),
-        ("opencv.yaml", opencv(FIVE), "fps: a file of the form OpenCV FileStorage has none"),
-        ("opencv.xml", '<!DOCTYPE x [<!ENTITY a "b">]><opencv_storage></opencv_storage>', "with a document type"),
-        ("opencv.yaml", opencv(FIVE).replace("458.5, 0,", "458.5, 7,"), "camera_matrix: is no camera matrix"),
-        ("notes.yaml", "a: 1\n", "is no calibration of a known form; give one of"),
-        ("transforms.json", '{"frames": [{"fl_x": 1}, {"fl_x": 2}]}', "cameras of their own"),
-    ],
-)  # fmt: skip
+KALIBR, TWO = kalibr(RADTAN, "none", []), colmap(PLAIN, "PINHOLE")
+FAULTS = {
+    "unified": ("camchain.yaml", KALIBR.replace("pinhole", "omni", 1), "'omni', the unified (MEI) model"),
+    "double sphere": ("camchain.yaml", KALIBR.replace("pinhole", "ds", 1), "the double sphere model, is not"),
+    "MEI": ("vins.yaml", vins(RADTAN).replace("PINHOLE", "MEI"), "'MEI', the unified (MEI) model"),
+    "prism": ("cameras.txt", colmap(RADTAN, "THIN_PRISM_FISHEYE", *[0] * 8), "the thin prism model, is not"),
+    "two cameras": ("cameras.txt", TWO + "2" + TWO.splitlines()[-1][1:], "holds 2 cameras; add one of 1, 2"),
+    "no size": ("TUM1.yaml", by_keys(FIVE, "Camera.", "").replace("width", "w"), "none; write `dslab camera"),
+    "no rate": ("opencv.yaml", opencv(FIVE), "fps: a file of the form OpenCV FileStorage has none"),
+    "entities": ("o.xml", '<!DOCTYPE x [<!ENTITY a "b">]><opencv_storage/>', "with a document type"),
+    "skew": ("o.yaml", opencv(FIVE).replace("458.5, 0,", "458.5, 7,"), "camera_matrix: is no camera matrix"),
+    "notes": ("notes.yaml", "a: 1\n", "is no calibration of a known form; give one of"),
+    "many": ("transforms.json", '{"frames": [{"fl_x": 1}, {"fl_x": 2}]}', "cameras of their own"),
+}
+
+
+@pytest.mark.parametrize(("name", "text", "says"), FAULTS.values(), ids=FAULTS)
 def test_what_cannot_be_read_is_one_line_with_the_remedy(name, text, says, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError) as caught:
