@@ -129,7 +129,7 @@ def _image_names(folder: Path) -> tuple[str, ...]:
         rows = read_rows(folder / euroc.CAMERA_DIR / euroc.TABLE_FILE, "", ",")
         return tuple(f"{euroc.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
     if form is Form.KITTI:
-        return tuple(f"{kitti.IMAGES_DIR}/{path.name}" for path in kitti.image_paths(folder))
+        return tuple(str(path.relative_to(folder)) for path in kitti.image_paths(folder))
     return ()
 
 

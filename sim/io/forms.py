@@ -63,14 +63,14 @@ def detect_form(folder: Path) -> Form:
         Form.TARTANAIR: tuple(name for v in tartanair.VERSIONS for name in (v.images, v.poses)),
         Form.TUM: (layout.FRAMES_FILE, layout.CAMERA_FILE),
         Form.EUROC: (euroc.CAMERA_DIR,),
-        Form.KITTI: (kitti.IMAGES_DIR,),
+        Form.KITTI: (*kitti.IMAGES_DIRS, *kitti.RAW_DIRS),
         Form.TUM_MONO: (tum_mono.CAMERA_FILE, tum_mono.IMAGES_ZIP),
     }
     for form, names in marks.items():
         if any(is_given(folder / name) for name in names):
             return form
     known = (
-        "rgb.txt and camera.yaml (TUM), image_0 and times.txt (KITTI), mav0/cam0 (EuRoC), "
+        "rgb.txt and camera.yaml (TUM), image_0 or image_2 (KITTI), mav0/cam0 (EuRoC), "
         "images and camera.txt (TUM-mono), rgb_0 and rgb.csv (VSLAM-LAB), or image_left (TartanAir); "
         "or add --camera FILE for a folder of images"
     )

@@ -1,12 +1,14 @@
 """KITTI's odometry form: writer and reader of rectified images, one pose per frame.
 
-    image_0/000000.png ...   gray images
-    times.txt                stamp of each frame, seconds
-    calib.txt                P0: the 12 numbers of the left gray camera's projection matrix
+    image_0/000000.png ...   gray images, or colour ones in image_2, PNG or JPEG
+    times.txt                stamp of each frame, seconds; without it ten frames a second
+    calib.txt                P0: the 12 numbers of the left gray camera's projection matrix; P2 of image_2
     poses/NN.txt             12 numbers per frame, the rows of the camera-to-world matrix
 
-The poses may also be at their place in the data set, ``../../poses/NN.txt`` with NN the folder's name, or in
-``NN.txt`` in the folder itself. Image size and frame rate are those of the images and times.
+The poses may also be at their place in the data set, ``../../poses/NN.txt`` with NN the folder's name, or
+``NN.txt`` or ``poses.txt`` in the folder. Image size and frame rate are those of the images and times.
+A synchronised raw drive has ``image_00/data`` and ``image_00/timestamps.txt``, or of another camera, and
+``calib_cam_to_cam.txt`` in it or in the folder of its day.
 """
 
 import re
@@ -15,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import SETTINGS_BYTES, file_names, is_folder, is_given
 from dslab.sim.io.camera_file import check_camera
 from dslab.sim.io.folders import Progress, new_directory, write_images
@@ -23,6 +25,7 @@ from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import (
     check_frames,
+    check_order,
     check_present,
     check_words,
     read_rows,
@@ -35,9 +38,14 @@ from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 
 IMAGES_DIR, TIMES_FILE, CALIBRATION_FILE, POSES_DIR = "image_0", "times.txt", "calib.txt", "poses"
+IMAGES_DIRS = {"image_0": "P0", "image_2": "P2", "image_1": "P1", "image_3": "P3"}
+"""Folders of images, the preferred first, and the projection of each."""
+RAW_DIRS = {f"image_{n:02d}": f"P_rect_{n:02d}" for n in (0, 2, 1, 3)}
+"""The same of raw drives."""
+_RAW_CALIBRATION, _RAW_TIMES = "calib_cam_to_cam.txt", "timestamps.txt"
+_FPS = 10.0
 _POSE_NAMES = [f"r{row}{column}" for row in range(3) for column in range(4)]
-_PROJECTION_NAMES = [f"P0[{index}]" for index in range(12)]
-_POSES_NAME = re.compile(r"[0-9][0-9]\.txt")
+_POSES_NAME = re.compile(r"[0-9][0-9]\.txt|poses\.txt")
 
 
 def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None = None) -> None:
@@ -73,35 +81,50 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
 
 
 def load_kitti(folder: Path) -> Sequence:
-    """Read a sequence from a folder in KITTI's odometry form. Errors as of ``load_sequence``."""
-    stamps_s = _read_times(folder / TIMES_FILE)
+    """Read a folder in KITTI's odometry form or a raw drive. Errors as of ``load_sequence``."""
     images = image_paths(folder)
+    raw = _images_dir(folder).name == "data"
+    times = _images_dir(folder).parent / _RAW_TIMES if raw else folder / TIMES_FILE
+    if is_given(times):
+        stamps_s = _read_raw_times(times) if raw else _read_times(times)
+    else:
+        stamps_s = np.arange(len(images)) / _FPS
+        notice(str(folder), f"has no {times.name}: frames count as taken {_FPS:g} times a second")
     if len(images) != len(stamps_s):
-        problem = f"holds {len(images)} images, {TIMES_FILE} {len(stamps_s)} stamps"
+        problem = f"holds {len(images)} images, {times.name} {len(stamps_s)} stamps"
         raise InputError(
-            str(folder / IMAGES_DIR), problem, "copy the folder again, or cut it to the same frames"
+            str(_images_dir(folder)), problem, "copy the folder again, or cut it to the same frames"
         )
-    check_present(images, TIMES_FILE)
+    check_present(images, times.name)
     shape = image_shape(images[0])
     # Stamps are printed to a nanosecond: further digits of the rate are rounding errors.
-    fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else 10.0
+    fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else _FPS
     return Sequence(
-        camera=_read_calibration(folder / CALIBRATION_FILE, shape, fps),
+        camera=_read_calibration(folder, raw, shape, fps),
         stamps_s=stamps_s,
-        frames=GrayFolder(images, shape, f"{IMAGES_DIR}/{images[0].name}"),
-        T_world_cam=_read_poses(folder, len(stamps_s)),
+        frames=GrayFolder(images, shape, f"{images[0].parent.name}/{images[0].name}"),
+        T_world_cam=_read_poses(folder, images),
         depths=None,
         **read_sidecars(folder, len(stamps_s)),
     )
+
+
+def _images_dir(folder: Path) -> Path:
+    found = [folder / name for name in IMAGES_DIRS if is_folder(folder / name)]
+    found += [folder / name / "data" for name in RAW_DIRS if is_folder(folder / name / "data")]
+    return found[0] if found else folder / IMAGES_DIR
 
 
 def image_paths(folder: Path) -> list[Path]:
     """The images of a folder in KITTI's form, in the order of their numbers.
 
     Raises:
-        InputError: a name is no number, or a number occurs twice or is missing.
+        InputError: there is none, a name is no number, or a number occurs twice or is missing.
     """
-    return numbered_images(folder / IMAGES_DIR, (".png",))
+    images = numbered_images(_images_dir(folder), (".png", ".jpg", ".jpeg"))
+    if not images:
+        raise InputError(str(_images_dir(folder)), "holds no image", "give images by number, PNG or JPEG")
+    return images
 
 
 def _read_times(path: Path) -> np.ndarray:
@@ -111,19 +134,42 @@ def _read_times(path: Path) -> np.ndarray:
     return np.array(stamps)
 
 
-def _read_calibration(path: Path, shape: tuple[int, int], fps: float) -> Intrinsics:
-    rows = read_rows(path, "add it with the line `P0: ` and 12 numbers", most_bytes=SETTINGS_BYTES)
-    found = [(where, words[1:]) for where, words in rows if words[0] == "P0:"]
+def _read_raw_times(path: Path) -> np.ndarray:
+    """(N,) seconds since the first of lines such as ``2011-09-26 13:02:25.964389445``."""
+    stamps = []
+    for where, words in read_rows(path, ""):
+        try:
+            stamps.append(np.datetime64("T".join(words)).astype("datetime64[ns]").astype(np.int64))
+        except ValueError:
+            remedy = "write 2011-09-26 13:02:25.964389445"
+            raise InputError(f"{where}: timestamp", f"{' '.join(words)!r} is no time", remedy) from None
+        check_order(where, stamps[-2:-1], stamps[-1])
+    check_frames(path, stamps)
+    return (np.array(stamps) - stamps[0]) / 1e9
+
+
+def _read_calibration(folder: Path, raw: bool, shape: tuple[int, int], fps: float) -> Intrinsics:
+    directory = _images_dir(folder)
+    if raw:
+        key = RAW_DIRS[directory.parent.name]
+        path = folder / _RAW_CALIBRATION
+        path = path if is_given(path) else folder.resolve().parent / _RAW_CALIBRATION
+    else:
+        key, path = IMAGES_DIRS[directory.name], folder / CALIBRATION_FILE
+    advice = f"add the line `{key}: ` and 12 numbers"
+    rows = read_rows(path, advice, most_bytes=SETTINGS_BYTES)
+    found = [(where, words[1:]) for where, words in rows if words[0] == f"{key}:"]
     if not found:
-        raise InputError(f"{path}: P0", "is missing", "add the line `P0: ` and 12 numbers")
+        raise InputError(f"{path}: {key}", "is missing", advice)
     if len(found) > 1:
-        raise InputError(f"{found[1][0]}: P0", "appears twice", "keep one of them")
+        raise InputError(f"{found[1][0]}: {key}", "appears twice", "keep one of them")
     where, words = found[0]
-    check_words(where, words, _PROJECTION_NAMES)
-    P = np.reshape(to_numbers(where, words, _PROJECTION_NAMES), (3, 4))
-    if P[0, 1] or P[1, 0] or list(P[2]) != [0, 0, 1, 0]:
+    names = [f"{key}[{index}]" for index in range(12)]
+    check_words(where, words, names)
+    P = np.reshape(to_numbers(where, words, names), (3, 4))
+    if P[0, 1] or P[1, 0] or list(P[2, :3]) != [0, 0, 1]:
         remedy = "write fx 0 cx 0 0 fy cy 0 0 0 1 0"
-        raise InputError(f"{where}: P0", "is no projection of a rectified camera", remedy)
+        raise InputError(f"{where}: {key}", "is no projection of a rectified camera", remedy)
     fx, fy, cx, cy = (float(value) for value in (P[0, 0], P[1, 1], P[0, 2], P[1, 2]))
     camera = Intrinsics(shape[1], shape[0], fx, fy, cx, cy, fps)
     check_camera(path, camera)
@@ -142,8 +188,11 @@ def _poses_file(folder: Path) -> Path | None:
     return own[0] if own else official if is_given(official) else None
 
 
-def _read_poses(folder: Path, frames: int) -> np.ndarray | None:
-    """(N, 4, 4) camera-to-world poses; printed matrices are made exact rotations."""
+def _read_poses(folder: Path, images: list[Path]) -> np.ndarray | None:
+    """(N, 4, 4) camera-to-world poses; printed matrices are made exact rotations.
+
+    Of more poses than images, those count whose lines are the images' numbers.
+    """
     path = _poses_file(folder)
     if path is None:
         return None
@@ -155,6 +204,11 @@ def _read_poses(folder: Path, frames: int) -> np.ndarray | None:
             raise InputError(where, "is no rotation and translation", "write the rows of [R t]")
         check_position(where, pose[:, 3])
         rows.append(pose)
+    frames, last = len(images), int(images[-1].stem)
+    if frames < len(rows) and last < len(rows):
+        lines = f"{last - frames + 2} to {last + 1}"
+        notice(str(path), f"has {len(rows)} poses for {frames} images: those of lines {lines} count")
+        rows = rows[last - frames + 1 : last + 1]
     if len(rows) != frames:
         problem = f"has {len(rows)} poses for {frames} frames"
         raise InputError(str(path), problem, "write one per frame, or delete it to run without ground truth")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from io_sequences import COUNT, PINHOLE, edit, fault, make_sequence
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
 
 
@@ -62,6 +62,58 @@ def test_poses_are_found_where_the_data_set_has_them(folder, tmp_path):
     assert load_sequence(home).T_world_cam is None
 
 
+def test_colour_images_have_their_own_projection(folder):
+    """JPEGs, and no file of times."""
+    (folder / "image_2").mkdir()
+    for path in sorted((folder / "image_0").iterdir()):
+        gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+        cv2.imwrite(str(folder / "image_2" / f"{path.stem}.jpg"), np.dstack([gray, gray // 2, gray]))
+        path.unlink()
+    (folder / "image_0").rmdir()
+    (folder / "times.txt").unlink()
+    first = (folder / "calib.txt").read_text()
+    words = first.replace("P0", "P2").split()
+    words[4] = "44.5"  # the distance to the first camera
+    (folder / "calib.txt").write_text(first + " ".join(words) + "\n")
+    (folder / "poses/00.txt").rename(folder / "poses.txt")
+    with pytest.warns(InputNotice, match="has no times.txt: frames count as taken 10 times a second"):
+        read = load_sequence(folder)
+    assert detect_form(folder) is Form.KITTI and read.camera == replace(PINHOLE, fps=10.0)
+    np.testing.assert_allclose(read.stamps_s, np.arange(COUNT) / 10)
+    assert read.frames[3].shape == make_sequence().frames[3].shape and len(read.T_world_cam) == COUNT
+
+
+def test_a_raw_drive_is_read(folder, tmp_path):
+    drive = tmp_path / "2011_09_26" / "2011_09_26_drive_0001_sync"
+    (drive / "image_00").mkdir(parents=True)
+    (folder / "image_0").rename(drive / "image_00" / "data")
+    stamps = [f"2011-09-26 13:02:25.{100_000_000 * i + 7:09d}" for i in range(COUNT)]
+    (drive / "image_00" / "timestamps.txt").write_text("\n".join(stamps) + "\n")
+    calibration = "calib_time: 09-Jan-2012\n" + (folder / "calib.txt").read_text().replace(
+        "P0:", "P_rect_00:"
+    )
+    (drive.parent / "calib_cam_to_cam.txt").write_text(calibration)
+    read = load_sequence(drive)
+    assert detect_form(drive) is Form.KITTI and read.camera == replace(PINHOLE, fps=10.0)
+    np.testing.assert_allclose(read.stamps_s, np.arange(COUNT) / 10, atol=1e-9)
+    edit(drive / "image_00" / "timestamps.txt", "2011-09-26 13", "yesterday 13")
+    fault(drive, "timestamps.txt:1: timestamp: 'yesterday 13")
+
+
+def test_of_more_poses_those_of_the_images_count(folder):
+    for path in sorted((folder / "image_0").iterdir())[-2:]:
+        path.unlink()
+    times = (folder / "times.txt").read_text().splitlines()[:-2]
+    (folder / "times.txt").write_text("\n".join(times) + "\n")
+    (folder / "segments.json").unlink()
+    (folder / "frame_truth.csv").unlink()
+    with pytest.warns(
+        InputNotice, match=f"has {COUNT} poses for {COUNT - 2} images: those of lines 1 to {COUNT - 2}"
+    ):
+        read = load_sequence(folder)
+    np.testing.assert_allclose(read.T_world_cam, make_sequence().T_world_cam[:-2], atol=2e-9)
+
+
 def test_a_sequence_beyond_the_form_is_refused(tmp_path):
     with pytest.raises(InputError, match="rectified images; use tum or euroc"):
         write_sequence(make_sequence(), tmp_path / "seq", Form.KITTI)
@@ -104,6 +156,5 @@ def test_missing_files_and_images_are_named(folder):
     cv2.imwrite(str(folder / "image_0/000005.png"), np.zeros((50, 64), np.uint8))
     with pytest.raises(InputError, match=r"64x50 pixels, image_0/000000\.png says 64x48"):
         load_sequence(folder).frames[5]
-    for name in ("calib.txt", "times.txt"):
-        (folder / name).unlink()
-        fault(folder, name, "no such file")
+    (folder / "calib.txt").unlink()
+    fault(folder, "calib.txt", "no such file")
