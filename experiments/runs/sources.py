@@ -126,8 +126,9 @@ def _image_names(folder: Path) -> tuple[str, ...]:
     if form is Form.TUM:
         return tuple(words[1] for _, words in read_rows(folder / layout.FRAMES_FILE, ""))
     if form is Form.EUROC:
-        rows = read_rows(folder / euroc.CAMERA_DIR / euroc.TABLE_FILE, "", ",")
-        return tuple(f"{euroc.CAMERA_DIR}/data/{words[1]}" for _, words in rows)
+        directory = euroc.camera_dir(folder)
+        rows = read_rows(directory / euroc.TABLE_FILE, "", ",")
+        return tuple(str((directory / "data" / words[1]).relative_to(folder)) for _, words in rows)
     if form is Form.KITTI:
         return tuple(str(path.relative_to(folder)) for path in kitti.image_paths(folder))
     return ()

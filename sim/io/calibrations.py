@@ -178,7 +178,8 @@ def _vins(fields: Fields, name: str) -> Calibration:
     return Calibration("", focal, centre, **lens_of(fields.where, model, given), size_px=size)
 
 
-def _euroc(fields: Fields, name: str) -> Calibration:
+def euroc_sensor(fields: Fields, name: str = "") -> Calibration:
+    """The camera of a sensor.yaml in the EuRoC form."""
     fx, fy, cx, cy = fields.numbers("intrinsics", lengths=(4,))
     lens_model(f"{fields.where}: camera_model", fields.word("camera_model", default="pinhole"))
     model = lens_model(f"{fields.where}: distortion_model", fields.word("distortion_model", default="none"))
@@ -261,7 +262,7 @@ _FORMS: tuple[tuple[str, Callable[[Mapping[Any, Any]], bool], Callable[[Fields, 
     ("ORB-SLAM settings", lambda data: any(re.match(r"Camera\d?\.", str(key)) for key in data), _orb_slam),
     ("stella_vslam settings", lambda data: isinstance(data.get("Camera"), Mapping), _stella),
     ("VINS settings", lambda data: "projection_parameters" in data or "mirror_parameters" in data, _vins),
-    ("EuRoC sensor.yaml", lambda data: "intrinsics" in data and "resolution" in data, _euroc),
+    ("EuRoC sensor.yaml", lambda data: "intrinsics" in data and "resolution" in data, euroc_sensor),
     ("nerfstudio transforms", lambda data: _has(data, ("fl_x", "camera_angle_x", "frames")), _transforms),
     (
         "ROS camera_info",

@@ -8,6 +8,7 @@ import yaml
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.lenses import lens_fault, sees_too_far
 from dslab.scenarios.yaml_file import read_yaml
+from dslab.sim.io.calibration import Calibration
 from dslab.sim.io.calibrations import KNOWN, read_calibration, split_name
 from dslab.sim.io.layout import CAMERA_KEYS
 from dslab.sim.io.text import number_at, numbers_at
@@ -38,14 +39,23 @@ def camera_and_form(
     found = read_calibration(file, name)
     if found is None:
         return _own_camera(file), "camera.yaml"
+    return intrinsics_of(
+        found, path, size_px, fps
+    ), f"{found.form}; {found.note}" if found.note else found.form
+
+
+def intrinsics_of(
+    found: Calibration, path: Path, size_px: tuple[int, int] | None = None, fps: float | None = None
+) -> Intrinsics:
+    """The checked intrinsics of a calibration. Arguments and errors as of ``read_camera``."""
     size_px, fps = found.size_px or size_px, found.fps or fps
-    for key, value, option in (("size", size_px, "--size 640x480"), ("fps", fps, "--fps 30")):
-        if value is None:
-            remedy = f"write `dslab camera {path} {option} > camera.yaml` and give that file"
-            raise InputError(f"{path}: {key}", f"a file of the form {found.form} has none", remedy)
+    if size_px is None or fps is None:
+        key, option = ("fps", "--fps 30") if size_px else ("size", "--size 640x480")
+        remedy = f"write `dslab camera {path} {option} > camera.yaml` and give that file"
+        raise InputError(f"{path}: {key}", f"a file of the form {found.form} has none", remedy)
     camera = Intrinsics(*size_px, *found.focal_px, *found.centre_px, fps, found.distortion, found.model)
     check_camera(path, camera)
-    return camera, f"{found.form}; {found.note}" if found.note else found.form
+    return camera
 
 
 def _own_camera(path: Path) -> Intrinsics:

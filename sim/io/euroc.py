@@ -8,7 +8,9 @@
     mav0/state_groundtruth_estimate0/data.csv   stamp, position, quaternion wxyz of the body in the world,
                                 and, where known, velocity and the biases of gyro and accelerometer
 
-The body is the inertial sensor; without one it is the camera. Stamps: ``sim.io.clock``.
+The body is the inertial sensor; without one it is the camera. Stamps: ``sim.io.clock``. ``mav0`` may lack or
+``cam0`` be given alone. Truth may be of motion capture, ``mocap0`` or ``vicon0``, whose sensor.yaml says how
+its markers are mounted. TUM-VI's calibration, ``dso/camchain.yaml``, stands for a missing sensor.yaml.
 """
 
 from functools import partial
@@ -19,10 +21,12 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import is_given
 from dslab.scenarios.yaml_file import read_yaml
-from dslab.sim.io.camera_file import check_camera, whole_size
+from dslab.sim.io.calibration import Fields
+from dslab.sim.io.calibrations import euroc_sensor
+from dslab.sim.io.camera_file import intrinsics_of, read_camera
 from dslab.sim.io.clock import choose_origin_ns, origin_ns, to_ns, to_seconds
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import GrayFolder
@@ -44,11 +48,13 @@ from dslab.sim.io.truth import (
     nearest_poses,
     poses_of,
 )
-from dslab.sim.sensors.camera import DISTORTION_KEYS, Intrinsics
+from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.imu import ImuModel, ImuReadings, ImuTruth
 from dslab.sim.sequence import Sequence
 
 CAMERA_DIR, IMU_DIR, TRUTH_DIR = "mav0/cam0", "mav0/imu0", "mav0/state_groundtruth_estimate0"
+_TRUTH_DIRS = ("state_groundtruth_estimate0", "mocap0", "vicon0")
+_CAMCHAIN = "dso/camchain.yaml"
 TABLE_FILE, SENSOR_FILE = "data.csv", "sensor.yaml"
 
 _IMU_COLUMNS = ["timestamp"] + [f"{name}_RS_S_{axis}" for name in "wa" for axis in "xyz"]
@@ -70,14 +76,15 @@ def load_euroc(folder: Path) -> Sequence:
 
     Errors as of ``load_sequence``.
     """
-    camera, T_body_cam = _read_camera(folder / CAMERA_DIR / SENSOR_FILE)
-    stamps, images = _read_frames(folder / CAMERA_DIR / TABLE_FILE)
+    directory = camera_dir(folder)
+    camera, T_body_cam = _read_camera(directory)
+    stamps, images = _read_frames(directory / TABLE_FILE)
     origin = choose_origin_ns(stamps)
     stamps_s = to_seconds(stamps, origin)
     frames = GrayFolder(images, (camera.height_px, camera.width_px), SENSOR_FILE)
     sidecars = read_sidecars(folder, len(stamps), origin)
     tolerance_s = half_interval_s(stamps_s, camera.fps)
-    T_world_body = _read_truth(folder / TRUTH_DIR / TABLE_FILE, origin, stamps_s, tolerance_s)
+    T_world_body = _read_truth(directory.parent, origin, stamps_s, tolerance_s)
     return Sequence(
         camera=camera,
         stamps_s=stamps_s,
@@ -96,12 +103,13 @@ def load_euroc_imu(folder: Path) -> ImuReadings | None:
     Raises:
         InputError: a file is missing, malformed or absurd.
     """
-    table = folder / IMU_DIR / TABLE_FILE
+    directory = camera_dir(folder)
+    table = directory.parent / "imu0" / TABLE_FILE
     if not is_given(table):
         return None
-    frame_stamps, _ = _read_frames(folder / CAMERA_DIR / TABLE_FILE)
-    _, T_body_cam = _read_camera(folder / CAMERA_DIR / SENSOR_FILE)
-    path = folder / IMU_DIR / SENSOR_FILE
+    frame_stamps, _ = _read_frames(directory / TABLE_FILE)
+    _, T_body_cam = _read_camera(directory)
+    path = table.parent / SENSOR_FILE
     sensor = _sensor(path, "T_BS, rate_hz and the noise densities")
     T_body_imu = _matrix(path, sensor)
     values = {field: number_at(path, sensor, key) for key, field in _IMU_KEYS.items()}
@@ -116,6 +124,12 @@ def load_euroc_imu(folder: Path) -> ImuReadings | None:
     return ImuReadings(model, stamps_s, readings[:, :3], readings[:, 3:])
 
 
+def camera_dir(folder: Path) -> Path:
+    """The folder of the camera below, or at, a folder of the form."""
+    places = (folder / CAMERA_DIR, folder / "cam0", folder)
+    return next((place for place in places if is_given(place / TABLE_FILE)), places[0])
+
+
 def _read_frames(path: Path) -> tuple[list[int], list[Path]]:
     """Stamps, in nanoseconds, and image paths."""
     stamps, names = read_list(path, ",", to_nanoseconds)
@@ -124,32 +138,31 @@ def _read_frames(path: Path) -> tuple[list[int], list[Path]]:
     return stamps, images
 
 
-def _read_camera(path: Path) -> tuple[Intrinsics, np.ndarray]:
+def _read_camera(directory: Path) -> tuple[Intrinsics, np.ndarray]:
     """Intrinsics, and (4, 4) camera to body."""
+    path, camchain = directory / SENSOR_FILE, directory.parent.parent / _CAMCHAIN
+    stamps, _ = _read_frames(directory / TABLE_FILE)
+    steps_ns = np.diff(np.array(stamps))
+    fps = round(1e9 / float(np.median(steps_ns)), 4) if len(steps_ns) else None
+    if not is_given(path) and is_given(camchain):
+        mounting = read_yaml(camchain, "calibration").data["cam0"].get("T_cam_imu") or np.eye(4).tolist()
+        rows = {"data": [value for row in mounting for value in row]}
+        return read_camera(camchain, fps=fps), np.linalg.inv(_matrix(camchain, {"T_BS": rows}))
     sensor = _sensor(path, _SENSOR_KEYS)
-    if sensor.get("camera_model", "pinhole") != "pinhole":
-        given = sensor["camera_model"]
-        raise InputError(f"{path}: camera_model", f"{given!r} is not supported", "give a pinhole camera")
-    models = {name: model for model, name in _LENS_NAMES.items()}
-    name = sensor.get("distortion_model")
-    if not isinstance(name, str) or name not in models:
-        known = " or ".join(models)
-        raise InputError(f"{path}: distortion_model", f"{name!r} is no lens model", f"use {known}")
-    model = models[name]
-    size = whole_size(str(path), sensor, "resolution")
-    full = len(DISTORTION_KEYS[model])
-    coefficients = numbers_at(path, sensor, "distortion_coefficients", (4, full))
-    coefficients += [0.0] * (full - len(coefficients))
-    fx, fy, cx, cy = numbers_at(path, sensor, "intrinsics", (4,))
-    fps = number_at(path, sensor, "rate_hz")
-    camera = Intrinsics(*size, fx, fy, cx, cy, fps, tuple(coefficients), model)
-    check_camera(path, camera)
-    return camera, _matrix(path, sensor)
+    found = euroc_sensor(Fields(str(path), sensor))
+    return intrinsics_of(found, path, fps=fps), _matrix(path, sensor)
 
 
-def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
-    """(N, 4, 4) body to world at the frames; None without the file."""
-    if not is_given(path):
+def _read_truth(home: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
+    """(N, 4, 4) body to world at the frames; None without a file of poses."""
+    path = next(
+        (home / name / TABLE_FILE for name in _TRUTH_DIRS if is_given(home / name / TABLE_FILE)), None
+    )
+    if path is None:
+        if is_given(home / "leica0"):
+            notice(
+                str(home / "leica0"), "has positions without orientations: it does not count as ground truth"
+            )
         return None
     rows = read_rows(path, "", ",")
     # Velocity and biases may follow the pose.
@@ -159,6 +172,9 @@ def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
     if not stamps:
         raise InputError(str(path), "holds no pose", "add poses, or delete it to run without ground truth")
     poses = poses_of(table[:, :3], np.roll(table[:, 3:], -1, axis=1))
+    markers = path.parent / SENSOR_FILE
+    if path.parent.name != _TRUTH_DIRS[0] and is_given(markers):
+        poses = poses @ np.linalg.inv(_matrix(markers, _sensor(markers, "T_BS")))
     return nearest_poses(path, stamps_s, to_seconds(stamps, origin), poses, tolerance_s)
 
 

@@ -62,7 +62,7 @@ def detect_form(folder: Path) -> Form:
         # Before the TUM form, as it may have a camera.yaml too.
         Form.TARTANAIR: tuple(name for v in tartanair.VERSIONS for name in (v.images, v.poses)),
         Form.TUM: (layout.FRAMES_FILE, layout.CAMERA_FILE),
-        Form.EUROC: (euroc.CAMERA_DIR,),
+        Form.EUROC: (euroc.CAMERA_DIR, f"cam0/{euroc.TABLE_FILE}", euroc.TABLE_FILE),
         Form.KITTI: (*kitti.IMAGES_DIRS, *kitti.RAW_DIRS),
         Form.TUM_MONO: (tum_mono.CAMERA_FILE, tum_mono.IMAGES_ZIP),
     }

@@ -12,14 +12,16 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import IMAGE_BYTES, file_names, open_file, read_bytes
 from dslab.sim.io.camera_file import check_size, other_size
-from dslab.sim.io.image_header import header_size, is_whole
+from dslab.sim.io.image_header import header_size, is_whole, most_of_pnm
 from dslab.sim.io.layout import DEPTH_PER_M
 from dslab.sim.io.text import to_frame_number
 
 _COPY = "copy the folder again"
+# Of 256 levels; an image of 16 bits that fills fewer is not one of full range.
+_LEAST_LEVELS = 64
 _NOTED_BYTES = 1 << 16
 _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Encryption, of either kind, and patches.
@@ -40,8 +42,11 @@ class GrayFolder:
 
     def __init__(self, paths: list[Path], shape: tuple[int, int], authority: str = "camera.yaml") -> None:
         self._paths, self._shape, self._authority = paths, shape, authority
+        self._counts: tuple[float, float] | None = None
         if paths:
-            self[0]  # a wrong size shows in the first image already
+            first = self._raw(0)  # a wrong size shows in the first image already
+            self._counts = self._range_of_counts() if first.dtype == np.uint16 else None
+            _say_if_turned(paths[0], first)
 
     def __len__(self) -> int:
         return len(self._paths)
@@ -49,7 +54,36 @@ class GrayFolder:
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W) uint8. Raises InputError if the image cannot be read or has another size."""
         path = self._paths[index]
-        return _decoded(_bytes(path), str(path), cv2.IMREAD_GRAYSCALE, self._shape, self._authority)
+        if self._counts is None:
+            return _decoded(_bytes(path), str(path), cv2.IMREAD_GRAYSCALE, self._shape, self._authority)
+        low, high = self._counts
+        levels = (self._raw(index).astype(np.float32) - low) * (255 / (high - low))
+        return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+    def _raw(self, index: int) -> np.ndarray:
+        """(H, W) of the stored type."""
+        path = self._paths[index]
+        mode = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH
+        return _decoded(_bytes(path), str(path), mode, self._shape, self._authority)
+
+    def _range_of_counts(self) -> tuple[float, float] | None:
+        """Lowest and highest count of 16-bit images that fill a small part of their range; None for others.
+
+        Cameras of 10 or 12 bits, and thermal ones, give such images; their highest eight bits hold little.
+        """
+        some = {0, len(self._paths) // 2, len(self._paths) - 1}
+        ends = np.array([np.quantile(self._raw(index), (0.001, 0.999)) for index in some])
+        low, high = float(ends[:, 0].min()), float(ends[:, 1].max())
+        if not 0 < high - low < _LEAST_LEVELS * 256:
+            return None
+        bits = [n for n in (10, 12, 14) if high < 2**n]
+        if bits and high - low > 2 ** bits[0] / 8:
+            low, high = 0.0, 2.0 ** bits[0] - 1
+            notice(str(self._paths[0].parent), f"16-bit images hold {bits[0]} bits: they are read as such")
+        else:
+            text = f"counts {low:g} to {high:g} of 16-bit images are spread over 256 levels"
+            notice(str(self._paths[0].parent), text)
+        return low, high
 
 
 class GrayZip:
@@ -195,18 +229,37 @@ def _header(data: bytes, where: str) -> tuple[int, int]:
     return size
 
 
+def _say_if_turned(path: Path, image: np.ndarray) -> None:
+    """Say it where the note of a camera turns an image that is read as it is stored."""
+    data = _bytes(path)
+    if b"exif" not in data[:_NOTED_BYTES].lower():
+        return
+    turned = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
+    if turned is not None and not np.array_equal(turned, image):
+        notice(
+            str(path), "its EXIF note turns it: images count as stored, as their size is the calibration's"
+        )
+
+
 def _decoded(data: bytes, where: str, mode: int, shape: tuple[int, int], authority: str) -> np.ndarray:
     size = _header(data, where)
-    # A camera's note in the header may turn the image by a right angle.
-    turned = size == shape and b"exif" in data[:_NOTED_BYTES].lower()
+    # A note in the header may say how to turn the image; the intrinsics are of it as stored, or turned.
+    turned = size == shape != size[::-1] and b"exif" in data[:_NOTED_BYTES].lower()
     if size != shape[::-1] and not turned:
         raise other_size(where, size, shape, authority)
+    most = most_of_pnm(data)
+    odd = mode != cv2.IMREAD_UNCHANGED and most not in (0, 255, 65535)
+    read = mode | (0 if turned or mode == cv2.IMREAD_UNCHANGED else cv2.IMREAD_IGNORE_ORIENTATION)
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), read | (cv2.IMREAD_ANYDEPTH if odd else 0))
     except cv2.error:
         image = None
     if image is None:
         raise InputError(where, "is no readable image", "copy or write this image again")
     if image.shape[:2] != shape:
         raise other_size(where, (image.shape[1], image.shape[0]), shape, authority)
+    if odd:
+        kind = image.dtype if mode & cv2.IMREAD_ANYDEPTH else np.uint8
+        full = np.iinfo(kind).max
+        image = np.clip(np.rint(image.astype(np.float32) * (full / most)), 0, full).astype(kind)
     return image

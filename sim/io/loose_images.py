@@ -1,6 +1,7 @@
 """Images in a folder without any list of them, with a camera.yaml from elsewhere."""
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from dslab.sim.io.images import GrayFolder, image_shape
 from dslab.sim.io.text import check_present
 from dslab.sim.sequence import Sequence
 
-SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".webp", ".tif", ".tiff")
 """Of the names of images, in either case."""
 
 
@@ -35,6 +36,7 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
     names = sorted((name for name in file_names(folder) if name.lower().endswith(SUFFIXES)), key=_order)
     if not names:
         raise InputError(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES)}")
+    _check_one_kind(folder, names)
     paths = [folder / name for name in names]
     check_present(paths, str(folder))
     height, width = image_shape(paths[0])
@@ -51,6 +53,18 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
         meta={},
         image_names=tuple(names),
     )
+
+
+def _check_one_kind(folder: Path, names: list[str]) -> None:
+    """Raise InputError for as many images of one name as of another: of two cameras, depth, masks."""
+    counts = Counter(re.sub(r"[0-9]+", "#", name) for name in names)
+    numbers = list(counts.values())
+    several = [(name, count) for name, count in counts.items() if numbers.count(count) > 1 and count > 1]
+    if several:
+        shown = ", ".join(f"{count} {name}" for name, count in several[:3])
+        raise InputError(
+            str(folder), f"holds images of several kinds ({shown})", "give a folder with one kind"
+        )
 
 
 def _order(name: str) -> tuple[list[tuple[int, int, str]], str]:

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.image_header import header_size, is_whole
 from dslab.sim.io.images import DepthFolder, GrayFolder, GrayZip, by_number, image_shape, numbered_images
 
@@ -35,12 +35,47 @@ def undecoded(monkeypatch):
     monkeypatch.setattr(cv2, "imdecode", lambda data, mode: pytest.fail("pixels are decoded"))
 
 
-@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".pgm", ".tif", ".webp"])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_the_header_states_the_size(suffix, channels):
     image = IMAGE if channels == 1 else cv2.cvtColor(IMAGE, cv2.COLOR_GRAY2BGR)
     data = encoded(".ppm" if (suffix, channels) == (".pgm", 3) else suffix, image)
     assert header_size(data) == SHAPE[::-1] and is_whole(data)
+
+
+@pytest.mark.parametrize("quality", [50, 101])
+def test_both_codings_of_webp_state_the_size(quality):
+    data = cv2.imencode(".webp", IMAGE, [cv2.IMWRITE_WEBP_QUALITY, quality])[1].tobytes()
+    assert header_size(data) == SHAPE[::-1] and is_whole(data) and not is_whole(data[:-9])
+    extended = b"RIFF\0\0\0\0WEBPVP8X" + struct.pack("<I", 10) + b"\0" * 4 + b"\x3f\0\0\x2f\0\0"
+    assert header_size(extended) == SHAPE[::-1]
+
+
+def test_images_of_ten_or_twelve_bits_keep_their_light(tmp_path):
+    """Stored as 16-bit PNG, or as PGM whose header says what is white."""
+    for bits in (10, 12):
+        counts = IMAGE.astype(np.uint16) << (bits - 8)
+        path = tmp_path / f"{bits}.png"
+        path.write_bytes(encoded(".png", counts))
+        with pytest.warns(InputNotice, match=f"hold {bits} bits"):
+            found = GrayFolder([path], SHAPE)[0]
+        assert np.abs(found.astype(int) - IMAGE).max() <= 1
+        path = tmp_path / f"{bits}.pgm"
+        path.write_bytes(b"P5 64 48 %d\n" % (2**bits - 1) + counts.astype(">u2").tobytes())
+        assert np.abs(GrayFolder([path], SHAPE)[0].astype(int) - IMAGE).max() <= 1
+    (tmp_path / "few.pgm").write_bytes(b"P5 64 48 15\n" + (IMAGE >> 4).tobytes())
+    assert np.abs(GrayFolder([tmp_path / "few.pgm"], SHAPE)[0].astype(int) - (IMAGE >> 4) * 17).max() == 0
+
+
+def test_thermal_counts_are_spread_alike_in_all_images(tmp_path, recwarn):
+    paths = [tmp_path / f"{n}.png" for n in range(3)]
+    for n, path in enumerate(paths):
+        path.write_bytes(encoded(".png", (29000 + 4 * IMAGE.astype(int) + 100 * n).astype(np.uint16)))
+    frames = GrayFolder(paths, SHAPE)
+    assert "counts 29" in str(recwarn.pop(InputNotice).message)
+    assert frames[0].std() > 50 and 15 < (frames[1].astype(float) - frames[0]).mean() < 25
+    paths[0].write_bytes(encoded(".png", IMAGE.astype(np.uint16) << 8))
+    assert np.abs(GrayFolder(paths[:1], SHAPE)[0].astype(int) - IMAGE).max() <= 1 and not recwarn.list
 
 
 def test_a_header_with_comments_or_padding_states_the_size():
@@ -82,15 +117,18 @@ def test_an_image_of_another_size_is_refused_before_it_is_decoded(tmp_path, unde
         image_shape(path)
 
 
-def test_an_image_turned_by_its_note_is_checked_as_it_is_decoded(tmp_path):
+def test_an_image_turned_by_its_note_is_as_stored_unless_the_calibration_is_of_it_turned(tmp_path):
     data = encoded(".jpg")
     exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
     (tmp_path / "0.jpg").write_bytes(
         data[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + data[2:]
     )
     assert GrayFolder([tmp_path / "0.jpg"], SHAPE[::-1])[0].shape == SHAPE[::-1]
-    with pytest.raises(InputError, match=r"is 48x64 pixels, camera\.yaml says 64x48"):
-        GrayFolder([tmp_path / "0.jpg"], SHAPE)[0]
+    with pytest.warns(InputNotice, match="EXIF note turns it: images count as stored"):
+        stored = GrayFolder([tmp_path / "0.jpg"], SHAPE)[0]
+    assert np.array_equal(stored, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE))
+    with pytest.raises(InputError, match=r"is 64x48 pixels, camera\.yaml says 50x48"):
+        GrayFolder([tmp_path / "0.jpg"], (48, 50))
 
 
 # -- order ---------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import yaml
 from io_sequences import COUNT, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.euroc import load_euroc_imu
 from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
 from dslab.sim.sensors.camera import Intrinsics
@@ -92,6 +92,59 @@ def test_the_truth_is_the_body_s_in_the_order_of_the_data_set(folder):
     assert (folder / "mav0/cam0/data/66666667.png").is_file()
 
 
+def test_the_camera_s_folder_may_stand_alone(folder, tmp_path):
+    written = make_sequence()
+    (folder / "mav0" / "cam0").rename(tmp_path / "cam0")
+    for path in (tmp_path, tmp_path / "cam0"):
+        assert detect_form(path) is Form.EUROC
+        read = load_sequence(path)
+        assert read.camera == written.camera and read.T_world_cam is None and len(read) == COUNT
+
+
+def test_truth_of_motion_capture_is_that_of_its_markers(folder):
+    """They are mounted somewhere on the body; TUM-VI and EuRoC's Vicon room have such files."""
+    written, home = load_sequence(folder), folder / "mav0"
+    T_body_markers = np.eye(4)
+    T_body_markers[:3, :3] = Rotation.from_rotvec([0.1, 0.2, -0.3]).as_matrix()
+    T_body_markers[:3, 3] = 0.05, -0.02, 0.1
+    (home / TRUTH[5:]).parent.rename(home / "mocap0")
+    rows = [line.split(",") for line in (home / "mocap0" / "data.csv").read_text().splitlines()]
+    for row in rows[1:]:
+        T = np.eye(4)
+        T[:3, :3] = Rotation.from_quat(np.roll(np.array(row[4:8], float), -1)).as_matrix()
+        T[:3, 3] = np.array(row[1:4], float)
+        T = T @ T_body_markers
+        quat_wxyz = np.roll(Rotation.from_matrix(T[:3, :3]).as_quat(), 1)
+        row[1:] = [repr(float(value)) for value in (*T[:3, 3], *quat_wxyz)]
+    (home / "mocap0" / "data.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
+    sensor = {"T_BS": {"rows": 4, "cols": 4, "data": T_body_markers.ravel().tolist()}}
+    (home / "mocap0" / "sensor.yaml").write_text(yaml.safe_dump(sensor))
+    np.testing.assert_allclose(load_sequence(folder).T_world_cam, written.T_world_cam, atol=1e-8)
+
+
+def test_without_a_sensor_file_the_camchain_counts(folder):
+    written = load_sequence(folder)
+    sensor = yaml.safe_load((folder / SENSOR).read_text().removeprefix("%YAML:1.0"))
+    (folder / SENSOR).unlink()
+    (folder / "dso").mkdir()
+    T_cam_body = np.linalg.inv(np.reshape(sensor["T_BS"]["data"], (4, 4)))
+    camera = {
+        "T_cam_imu": T_cam_body.tolist(), "camera_model": "pinhole", "distortion_model": "radtan",
+        "distortion_coeffs": sensor["distortion_coefficients"], "intrinsics": sensor["intrinsics"],
+        "resolution": sensor["resolution"],
+    }  # fmt: skip
+    (folder / "dso" / "camchain.yaml").write_text(yaml.safe_dump({"cam0": camera}))
+    read = load_sequence(folder)
+    assert read.camera == replace(written.camera, fps=30.0)
+    np.testing.assert_allclose(read.T_world_cam, written.T_world_cam, atol=1e-8)
+
+
+def test_positions_alone_are_no_truth_and_it_is_said(folder):
+    (folder / "mav0" / TRUTH[5:]).parent.rename(folder / "mav0" / "leica0")
+    with pytest.warns(InputNotice, match="leica0: has positions without orientations"):
+        assert load_sequence(folder).T_world_cam is None
+
+
 def test_stamps_since_1970_keep_every_nanosecond(folder, tmp_path):
     origin = 1403636579763555584
     for file in (folder / STAMPS, folder / TRUTH, folder / "mav0/imu0/data.csv"):
@@ -116,8 +169,10 @@ def test_a_frame_without_pose_has_none_when_read_back(tmp_path):
     np.testing.assert_allclose(read, sequence.T_world_cam, atol=PRINTED)
 
 
-def test_opencv_s_yaml_is_read(folder):
+def test_opencv_s_yaml_and_other_names_are_read(folder):
     edit(folder / SENSOR, "sensor_type", "%YAML:1.0\nsensor_type")
+    edit(folder / SENSOR, "rate_hz: 30.0\n", "")  # the stamps tell it
+    edit(folder / SENSOR, "radial-tangential", "radtan")
     assert load_sequence(folder).camera == make_sequence().camera
 
 
@@ -127,7 +182,6 @@ def test_opencv_s_yaml_is_read(folder):
         (STAMPS, "66666667,", "33333333,", ["data.csv:4: stamp", "33333333 does not come after 33333333"]),
         (STAMPS, "66666667,", "0.0667,", ["data.csv:4: timestamp", "nanoseconds"]),
         (STAMPS, ",66666667.png", "", ["data.csv:4", "cut short"]),
-        (SENSOR, "rate_hz: 30.0\n", "", ["sensor.yaml: rate_hz", "is missing"]),
         (SENSOR, "- 50.0\n", "", ["sensor.yaml: intrinsics", "4 numbers"]),
         (SENSOR, "- 64", "- 65", ["0.png", "64x48", "sensor.yaml says 65x48"]),
         (SENSOR, "radial-tangential", "omni", ["sensor.yaml: distortion_model", "'omni'"]),
