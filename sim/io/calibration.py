@@ -91,9 +91,14 @@ class Fields:
             raise InputError(f"{self.where}: {name}", "is missing", "add it")
         return Fields(f"{self.where}: {name}", inside)
 
-    def word(self, *names: str, default: str = "") -> str:
-        found = [self.data[name] for name in names if name in self.data]
-        return str(found[0]) if found else default
+    def word(self, *names: str, default: str | None = None) -> str:
+        """A text; the default if it is missing. Raises InputError for anything else, or without a default."""
+        if default is not None and not any(name in self.data for name in names):
+            return default
+        key = self.key(*names)
+        if not isinstance(self.data[key], str):
+            raise InputError(f"{self.where}: {key}", f"{self.data[key]!r} is no name", "write a name")
+        return self.data[key]
 
     def size(self, *names: tuple[str, str]) -> tuple[int, int] | None:
         for wide, high in names:

@@ -182,7 +182,7 @@ def euroc_sensor(fields: Fields, name: str = "") -> Calibration:
     """The camera of a sensor.yaml in the EuRoC form."""
     fx, fy, cx, cy = fields.numbers("intrinsics", lengths=(4,))
     lens_model(f"{fields.where}: camera_model", fields.word("camera_model", default="pinhole"))
-    model = lens_model(f"{fields.where}: distortion_model", fields.word("distortion_model", default="none"))
+    model = lens_model(f"{fields.where}: distortion_model", fields.word("distortion_model"))
     given = fields.numbers("distortion_coefficients", lengths=(0, 4, 5, 8))
     lens = lens_of(f"{fields.where}: distortion_coefficients", model, given)
     size = whole(fields.where, *fields.numbers("resolution", lengths=(2,)))

@@ -33,6 +33,7 @@ from dslab.sim.io.images import GrayFolder
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import (
     check_present,
+    data_rows,
     number_at,
     numbers_at,
     read_list,
@@ -164,7 +165,7 @@ def _read_truth(home: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
                 str(home / "leica0"), "has positions without orientations: it does not count as ground truth"
             )
         return None
-    rows = read_rows(path, "", ",")
+    rows = data_rows(path, read_rows(path, "", ","))
     # Velocity and biases may follow the pose.
     rows = ((where, words[:8] if len(words) == 17 else words) for where, words in rows)
     check = partial(check_pose, names=_POSE_COLUMNS[1:])

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import TABLE_BYTES, read_text
 
 StampT = TypeVar("StampT", int, float)
@@ -43,6 +43,22 @@ def read_rows(
                 problem = f"is too long for a table, at most {_MOST_ROWS} rows of {_LONGEST_ROW} characters"
                 raise InputError(f"{path}:{number}", problem, "check that it is the right file")
             yield f"{path}:{number}", [word.strip() for word in line.split(separator)]
+
+
+def data_rows(path: Path, rows: Iterable[tuple[str, list[str]]]) -> Iterator[tuple[str, list[str]]]:
+    """Leave out a header, which has no digit, and lines that repeat the one before, and say so."""
+    before: list[str] | None = None
+    left_out = 0
+    for where, words in rows:
+        if before is None and len(words) > 1 and not any(map(str.isdigit, "".join(words))):
+            notice(where, "is taken for a header")
+        elif words == before:
+            left_out += 1
+        else:
+            yield where, words
+        before = words
+    if left_out:
+        notice(str(path), f"{left_out} lines that repeat the one before are left out")
 
 
 def check_words(where: str, words: list[str], names: list[str]) -> None:
@@ -104,16 +120,15 @@ def read_list(
     between = separator or " "
     stamps: list[StampT] = []
     names: list[str] = []
-    for where, words in read_rows(
-        path, f"give the list of frames, `stamp{between}filename` per line", separator
-    ):
-        if len(words) != 2:
+    rows = read_rows(path, f"give the list of frames, `stamp{between}filename` per line", separator)
+    for where, words in data_rows(path, rows):
+        if len(words) < 2 or (separator and len(words) > 2):
             problem = f"{len(words)} words where stamp and filename belong"
             raise InputError(where, problem, f"write `stamp{between}filename`; the file may be cut short")
         stamp = to_stamp(where, words[0])
         check_order(where, stamps, stamp)
         stamps.append(stamp)
-        names.append(words[1])
+        names.append(" ".join(words[1:]))  # a name may have spaces
     check_frames(path, stamps)
     return stamps, names
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given
-from dslab.sim.io.text import check_order, check_words, read_rows, to_numbers, to_stamp
+from dslab.sim.io.text import check_order, check_words, data_rows, read_rows, to_numbers, to_stamp
 
 # Farther positions are no metres; their squares would leave the alignment no digits.
 _MOST_POSITION_M = 1e9
@@ -36,7 +36,7 @@ def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.n
     if not is_given(path):
         return None
     rows: list[list[float]] = []
-    for where, words in read_rows(path, ""):
+    for where, words in data_rows(path, read_rows(path, "")):
         check_words(where, words, _TUM_NAMES)
         row = [to_stamp(where, words[0]), *_pose_numbers(where, words[1:])]
         check_order(where, [r[0] for r in rows[-1:]], row[0])

@@ -26,6 +26,7 @@ def load_tum(folder: Path) -> Sequence:
     """
     camera = read_camera(folder / layout.CAMERA_FILE)
     stamps_s, images = _read_list(folder / layout.FRAMES_FILE)
+    _check_unit(folder / layout.FRAMES_FILE, stamps_s, camera.fps)
     frames = GrayFolder(images, (camera.height_px, camera.width_px))
     tolerance_s = half_interval_s(stamps_s, camera.fps)
     return Sequence(
@@ -36,6 +37,15 @@ def load_tum(folder: Path) -> Sequence:
         depths=_read_depths(folder / layout.DEPTH_FILE, camera, stamps_s, tolerance_s),
         **read_sidecars(folder, len(stamps_s)),
     )
+
+
+def _check_unit(path: Path, stamps_s: np.ndarray, fps: float) -> None:
+    """Raise InputError where stamps step by a thousand times and more what the frame rate says."""
+    step_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 1 / fps
+    for unit, per_s in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+        if 0.5 < step_s * fps / per_s < 2:
+            problem = f"stamps step by {step_s:g} s, the camera takes {fps:g} images a second"
+            raise InputError(f"{path}: stamp", problem, f"these look like {unit}: divide them by {per_s:.0f}")
 
 
 def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:

@@ -12,7 +12,7 @@ import yaml
 from io_sequences import COUNT, SHAPE, edit, fault, make_sequence
 from scipy.spatial.transform import Rotation
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.forms import load_sequence
 from dslab.sim.io.tum import write_tum
 from dslab.sim.sensors.camera import Intrinsics
@@ -229,3 +229,35 @@ def test_depth_images_are_given_to_the_frames_nearest_in_time(tmp_path):
     assert (read.depths[2] == 0).all()
     (tmp_path / "seq/depth.txt").write_text("99.0 depth/000000.png\n")
     fault(tmp_path / "seq", "depth.txt", "clock")
+
+
+def test_headers_doubled_lines_spaces_and_a_byte_order_mark_are_read(folder):
+    """As spreadsheets and scripts leave them; what is left out is said."""
+    written = load_sequence(folder)
+    second = written.frames[1]
+    frames, truth = folder / "rgb.txt", folder / "groundtruth.txt"
+    rows = [line for line in frames.read_text().splitlines() if not line.startswith("#")]
+    name = rows[1].split()[1]
+    (folder / name).rename(folder / "rgb" / "image of a desk.png")
+    rows[1] = f"{rows[1].split()[0]} rgb/image of a desk.png"
+    frames.write_text("\ufefftimestamp filename\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    poses = [line for line in truth.read_text().splitlines() if not line.startswith("#")]
+    truth.write_text("\n".join(["timestamp tx ty tz qx qy qz qw", *poses[:3], poses[2], *poses[3:]]) + "\n")
+    with pytest.warns(InputNotice) as said:
+        read = load_sequence(folder)
+    assert [str(each.message).rpartition("/")[2] for each in said] == [
+        "rgb.txt:1: is taken for a header",
+        "groundtruth.txt:1: is taken for a header",
+        "groundtruth.txt: 1 lines that repeat the one before are left out",
+    ]
+    np.testing.assert_array_equal(read.T_world_cam, written.T_world_cam)
+    np.testing.assert_array_equal(read.frames[1], second)
+
+
+@pytest.mark.parametrize(("per_s", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
+def test_stamps_in_another_unit_than_seconds_are_refused(folder, per_s, unit):
+    rows = [
+        line.split() for line in (folder / "rgb.txt").read_text().splitlines() if not line.startswith("#")
+    ]
+    (folder / "rgb.txt").write_text("".join(f"{float(t) * per_s:.3f} {name}\n" for t, name in rows))
+    fault(folder, "rgb.txt: stamp", f"these look like {unit}: divide them by {per_s:.0f}")

@@ -108,9 +108,9 @@ def test_each_fault_of_a_camera_file_is_one_line(folder_of, old, new, expected):
         (
             "distortion_model: radial-tangential",
             "distortion_model: [radtan]",
-            ["distortion_model", "no lens"],
+            ["distortion_model", "is no name"],
         ),
-        ("distortion_model:", "distortion_modle:", ["distortion_model", "no lens model"]),
+        ("distortion_model:", "distortion_modle:", ["distortion_model", "is missing"]),
         ("rate_hz:", "rate_hz: 3\nrate_hz:", ["sensor.yaml", "rate_hz", "key appears twice"]),
         ("- 64\n", "- 36\n", ["sensor.yaml: width", "takes no image of 36 pixels"]),
         ("- 0.1\n", "- -9\n", ["sensor.yaml: distortion", "folds the image over itself"]),
