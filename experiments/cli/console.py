@@ -36,6 +36,7 @@ _OF_FIGURES = "-.0123456789"
 
 FormName = Literal["tum", "kitti", "euroc", "vslam-lab"]
 """Writable forms of sequence folders."""
+TruthFormName = Literal["tum", "kitti", "euroc"]
 ModeName = Literal["lockstep", "threaded"]
 SystemName = Literal["base", "dual", "dual+", "paper", "paper+", "dso", "ldso"]
 
@@ -83,6 +84,18 @@ CameraOption = Annotated[
         help="Calibration for images without any list or for a video: see `dslab camera`.",
         show_default=False,
     ),
+]
+TruthOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--truth",
+        metavar="FILE",
+        help="True poses of the camera, on the clock of the frames.",
+        show_default=False,
+    ),
+]
+TruthFormOption = Annotated[
+    TruthFormName, typer.Option("--truth-form", help="Form of --truth; kitti has a line per frame.")
 ]
 RendererOption = Annotated[
     str | None, typer.Option("--renderer", help="Renderer of scenarios: mujoco (the default) or pyrender.")

@@ -12,6 +12,8 @@ from dslab.experiments.cli.console import (
     ForceOption,
     FormName,
     SeedOption,
+    TruthFormOption,
+    TruthOption,
     out,
     print_segments,
     progress_bars,
@@ -74,6 +76,8 @@ def degrade_command(
     ] = None,
     seed: SeedOption = None,
     camera: CameraOption = None,
+    truth: TruthOption = None,
+    truth_form: TruthFormOption = "tum",
     force: ForceOption = False,
 ) -> None:
     """Degrade a folder in TUM, KITTI, EuRoC, TUM-mono, VSLAM-LAB or TartanAir form, images or a video.
@@ -110,7 +114,7 @@ def degrade_command(
 
     segments = [parse_segment(text) for text in segment]
     with progress_bars(kernels=False) as show:
-        sequence = load_sequence(source, camera, show, force)
+        sequence = load_sequence(source, camera, show, force, truth, truth_form)
     check_recorded_sequence(sequence, segments)
     found = Form.TUM if camera is not None else detect_form(sequence_folder(source))
     target = Form(form) if form else Form.TUM if found in READ_ONLY else found

@@ -14,6 +14,9 @@ from dslab.experiments.cli.console import (
     RendererOption,
     SeedOption,
     SourceArgument,
+    TruthFormName,
+    TruthFormOption,
+    TruthOption,
     print_segments,
     progress_bars,
     say,
@@ -68,6 +71,8 @@ def export_command(
         typer.Option("--imu", help="Gyro and accelerometer (EuRoC form) if the scenario itself names none."),
     ] = False,
     camera: CameraOption = None,
+    truth: TruthOption = None,
+    truth_form: TruthFormOption = "tum",
     force: ForceOption = False,
 ) -> None:
     """Write a sequence or scenario in TUM, KITTI, EuRoC or VSLAM-LAB form, with ground truth.
@@ -81,7 +86,7 @@ def export_command(
 
     `dslab export path/to/images --camera cam.yaml --format vslam-lab --out out/walk`
     """
-    _write(source, out_dir, form, seed, depth, imu or None, camera, force)
+    _write(source, out_dir, form, seed, depth, imu or None, camera, force, truth=truth, truth_form=truth_form)
 
 
 def _write(
@@ -95,6 +100,8 @@ def _write(
     force: bool,
     renderer: str | None = None,
     no_cache: bool = False,
+    truth: Path | None = None,
+    truth_form: TruthFormName = "tum",
 ) -> list[str]:
     """Write the folder; what it has beside frames."""
     from dslab.experiments.runs.sources import open_imu, open_sequence
@@ -112,8 +119,9 @@ def _write(
     scratch = scratch_beside(out_dir) if no_cache else nullcontext()
     with scratch as cache_dir, progress_bars(kernels=False) as show:
         sequence = open_sequence(
-            source, seed, show, depth, renderer, out_dir, force, camera, cache_dir=cache_dir
-        )
+            source, seed, show, depth, renderer, out_dir, force, camera, cache_dir=cache_dir, truth=truth,
+            truth_form=truth_form,
+        )  # fmt: skip
         if depth and sequence.depths is None:
             raise InputError(f"--depth: {source}", "the folder has no depth images", "leave out --depth")
         readings = None

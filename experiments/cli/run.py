@@ -18,6 +18,8 @@ from dslab.experiments.cli.console import (
     SeedOption,
     SourceArgument,
     SystemsOption,
+    TruthFormOption,
+    TruthOption,
     check_real_time,
     print_facts,
     print_json_line,
@@ -66,6 +68,8 @@ def run_command(
     seed: SeedOption = None,
     renderer: RendererOption = None,
     camera: CameraOption = None,
+    truth: TruthOption = None,
+    truth_form: TruthFormOption = "tum",
     mode: ModeOption = "lockstep",
     real_time: RealTimeOption = False,
     maps: Annotated[
@@ -109,7 +113,16 @@ def run_command(
     check_free(out_dir)
     single_threaded_opencv()
     with progress_bars() as show:
-        sequence = open_sequence(source, seed, show, renderer=renderer, force=force, camera=camera)
+        sequence = open_sequence(
+            source,
+            seed,
+            show,
+            renderer=renderer,
+            force=force,
+            camera=camera,
+            truth=truth,
+            truth_form=truth_form,
+        )
         if real_time:
             # Compiling and loading kernels would be taken for slowness.
             warm_up(show)

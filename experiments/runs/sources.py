@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from dslab.sim.io.video import is_video
 from dslab.sim.room import check_room, images_need
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
 from dslab.sim.sequence import Sequence
+
+if TYPE_CHECKING:
+    from dslab.sim.io.forms import TruthForm
 
 
 def open_sequence(
@@ -25,6 +29,8 @@ def open_sequence(
     camera: Path | None = None,
     first_s: float | None = None,
     cache_dir: Path | None = None,
+    truth: Path | None = None,
+    truth_form: "TruthForm" = "tum",
 ) -> Sequence:
     """Load a sequence folder, images or a video, or render a scenario or read it from the cache.
 
@@ -40,6 +46,7 @@ def open_sequence(
         camera: camera.yaml of images or a video; None for a source that has its own.
         first_s: only the frames of the first seconds, of a scenario these alone are rendered; None for all.
         cache_dir: folder of the cache of rendered frames; None for the default one.
+        truth, truth_form: true poses of a folder, images or a video, as of ``sim.load_sequence``.
 
     Raises:
         InputError: the source does not exist or is not valid, a renderer is named for a folder, or there is
@@ -52,7 +59,7 @@ def open_sequence(
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
         from dslab.sim.io.forms import load_sequence
 
-        sequence = load_sequence(path, camera, progress, force)
+        sequence = load_sequence(path, camera, progress, force, truth, truth_form)
         if out_dir is not None:
             size_px = sequence.camera.width_px, sequence.camera.height_px
             needs = [images_need(out_dir, len(sequence), size_px, sequence.depths is not None)]
@@ -61,6 +68,8 @@ def open_sequence(
             names = sequence.image_names or _image_names(path)
             sequence = replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
         return sequence if first_s is None else sequence.first(first_s)
+    if truth is not None:
+        raise InputError(f"--truth: {truth}", "a scenario has its own truth", "leave it out")
     from dslab.scenarios.families import is_scenario_name
     from dslab.scenarios.loading import load_scenario
 

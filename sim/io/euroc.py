@@ -165,6 +165,25 @@ def _read_truth(home: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
                 str(home / "leica0"), "has positions without orientations: it does not count as ground truth"
             )
         return None
+    poses_at = read_euroc_poses(path, origin, stamps_s, tolerance_s)
+    markers = path.parent / SENSOR_FILE
+    if path.parent.name != _TRUTH_DIRS[0] and is_given(markers):
+        poses_at = poses_at @ np.linalg.inv(_matrix(markers, _sensor(markers, "T_BS")))
+    return poses_at
+
+
+def read_euroc_poses(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray:
+    """(N, 4, 4) poses nearest in time to the frames, NaN where none is near.
+
+    Args:
+        path: a data.csv of stamps in nanoseconds, positions and quaternions wxyz.
+        origin: nanoseconds at 0 s of the frames.
+        stamps_s: (N,) stamps of the frames.
+        tolerance_s: largest time between a frame and its pose.
+
+    Raises:
+        InputError: the file is malformed, holds no pose, or has another clock.
+    """
     rows = data_rows(path, read_rows(path, "", ","))
     # Velocity and biases may follow the pose.
     rows = ((where, words[:8] if len(words) == 17 else words) for where, words in rows)
@@ -173,9 +192,6 @@ def _read_truth(home: Path, origin: int, stamps_s: np.ndarray, tolerance_s: floa
     if not stamps:
         raise InputError(str(path), "holds no pose", "add poses, or delete it to run without ground truth")
     poses = poses_of(table[:, :3], np.roll(table[:, 3:], -1, axis=1))
-    markers = path.parent / SENSOR_FILE
-    if path.parent.name != _TRUTH_DIRS[0] and is_given(markers):
-        poses = poses @ np.linalg.inv(_matrix(markers, _sensor(markers, "T_BS")))
     return nearest_poses(path, stamps_s, to_seconds(stamps, origin), poses, tolerance_s)
 
 

@@ -1,14 +1,18 @@
 """Sequence folders of every form: detection, reading, writing."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
+from typing import Literal
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder, is_given
 from dslab.sim.io import euroc, kitti, layout, tartanair, tum, tum_mono, vslam_lab
+from dslab.sim.io.clock import origin_ns
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
+from dslab.sim.io.truth import half_interval_s, read_tum_poses
 from dslab.sim.io.video import is_video, load_video
 from dslab.sim.io.wide_lens import rectified_if_wide
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
@@ -26,6 +30,8 @@ class Form(StrEnum):
     TARTANAIR = "tartanair"
 
 
+TruthForm = Literal["tum", "kitti", "euroc"]
+"""The forms of files of true poses."""
 READ_ONLY = (Form.TUM_MONO, Form.TARTANAIR)
 """The forms that are not written."""
 WITH_DEPTH = (Form.TUM, Form.VSLAM_LAB)
@@ -87,15 +93,19 @@ def load_sequence(
     camera: str | Path | None = None,
     progress: Progress | None = None,
     force: bool = False,
+    truth: str | Path | None = None,
+    truth_form: TruthForm = "tum",
 ) -> Sequence:
     """Read a sequence from a folder of any form, or from images or a video with a camera.
 
     Args:
         path: the folder; for the EuRoC form, ``mav0`` may be given too. With ``camera`` a folder of images
             without any list, or a video file.
-        camera: a camera.yaml for images or a video; see ``sim.io.layout``.
+        camera: calibration of images or a video; see ``sim.io.camera_file.read_camera``.
         progress: called with (step, frames done, frames in all) while a video is decoded.
         force: decode a video even if its frames seem too many for the disk.
+        truth: file of true poses, camera to world, in the place of the sequence's own.
+        truth_form: ``tum`` and ``euroc`` on the clock of the frames, ``kitti`` with a line per frame.
 
     Raises:
         InputError: the folder does not exist or has no known form, or a file of it is missing, empty, cut
@@ -111,7 +121,23 @@ def load_sequence(
         sequence = load_video(Path(path), Path(camera), progress=progress, force=force)
     else:
         sequence = load_images(Path(path), Path(camera))
-    return rectified_if_wide(str(path), sequence)
+    sequence = rectified_if_wide(str(path), sequence)
+    return sequence if truth is None else with_truth(sequence, Path(truth), truth_form)
+
+
+def with_truth(sequence: Sequence, path: Path, form: TruthForm) -> Sequence:
+    """A sequence with true poses of a file. Arguments and errors as of ``load_sequence``."""
+    if not is_given(path):
+        raise InputError(str(path), "no such file", "give the file of the true poses")
+    stamps_s = sequence.stamps_s
+    tolerance_s = half_interval_s(stamps_s, sequence.camera.fps)
+    if form == "kitti":
+        T = kitti.read_kitti_poses(path, len(sequence), len(sequence) - 1)
+    elif form == "euroc":
+        T = euroc.read_euroc_poses(path, origin_ns(sequence), stamps_s, tolerance_s)
+    else:
+        T = read_tum_poses(path, stamps_s, tolerance_s)
+    return replace(sequence, T_world_cam=T)
 
 
 def write_sequence(

@@ -189,13 +189,21 @@ def _poses_file(folder: Path) -> Path | None:
 
 
 def _read_poses(folder: Path, images: list[Path]) -> np.ndarray | None:
+    path = _poses_file(folder)
+    return None if path is None else read_kitti_poses(path, len(images), int(images[-1].stem))
+
+
+def read_kitti_poses(path: Path, frames: int, last: int) -> np.ndarray:
     """(N, 4, 4) camera-to-world poses; printed matrices are made exact rotations.
 
-    Of more poses than images, those count whose lines are the images' numbers.
+    Args:
+        path: the file.
+        frames: their number.
+        last: number of the last image: of more poses than images, those of the images' lines count.
+
+    Raises:
+        InputError: the file is malformed, or has too few poses.
     """
-    path = _poses_file(folder)
-    if path is None:
-        return None
     rows = []
     for where, words in read_rows(path, ""):
         check_words(where, words, _POSE_NAMES)
@@ -204,7 +212,6 @@ def _read_poses(folder: Path, images: list[Path]) -> np.ndarray | None:
             raise InputError(where, "is no rotation and translation", "write the rows of [R t]")
         check_position(where, pose[:, 3])
         rows.append(pose)
-    frames, last = len(images), int(images[-1].stem)
     if frames < len(rows) and last < len(rows):
         lines = f"{last - frames + 2} to {last + 1}"
         notice(str(path), f"has {len(rows)} poses for {frames} images: those of lines {lines} count")

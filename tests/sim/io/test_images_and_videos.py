@@ -5,9 +5,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.errors import InputError
+from dslab.sim.io.camera_file import read_camera
 from dslab.sim.io.forms import load_sequence
+from dslab.sim.io.truth import tum_poses_text
 
 SIZE, FPS = (96, 64), 12.5
 CAMERA = "fx: 80\nfy: 80\ncx: 47.5\ncy: 31.5\nwidth: 96\nheight: 64\nfps: 20\n"
@@ -71,6 +74,51 @@ def test_a_video_has_its_frames_and_its_times(tmp_path, camera, name, code):
     again = load_sequence(path, camera, lambda *step: steps.append(step))
     np.testing.assert_array_equal(again.frames[5], sequence.frames[5])
     assert len(steps) == 9
+
+
+@pytest.mark.parametrize("form", ["tum", "kitti", "euroc"])
+def test_true_poses_may_lie_in_a_file_of_their_own(tmp_path, camera, form):
+    (tmp_path / "walk").mkdir()
+    for n in range(4):
+        cv2.imwrite(str(tmp_path / "walk" / f"{n}.png"), np.full(SIZE[::-1], 90, np.uint8))
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, :3, :3] = Rotation.random(4, np.random.default_rng(0)).as_matrix()
+    T[:, :3, 3] = np.arange(12).reshape(4, 3)
+    stamps_s = np.arange(4) / read_camera(camera).fps
+    quat_wxyz = np.roll(Rotation.from_matrix(T[:, :3, :3]).as_quat(), 1, axis=1)
+    text = {
+        "tum": tum_poses_text(stamps_s, T),
+        "kitti": "\n".join(" ".join(map(repr, pose[:3].ravel().tolist())) for pose in T),
+        "euroc": "\n".join(
+            ",".join([str(round(s * 1e9)), *map(repr, [*t.tolist(), *q.tolist()])])
+            for s, t, q in zip(stamps_s, T[:, :3, 3], quat_wxyz, strict=True)
+        ),
+    }[form]
+    (tmp_path / "truth.txt").write_text(text + "\n")
+    read = load_sequence(tmp_path / "walk", camera, truth=tmp_path / "truth.txt", truth_form=form)
+    np.testing.assert_allclose(read.T_world_cam, T, atol=1e-8)
+    with pytest.raises(InputError, match=r"absent\.txt: no such file"):
+        load_sequence(tmp_path / "walk", camera, truth=tmp_path / "absent.txt", truth_form=form)
+
+
+def test_a_folder_of_two_cameras_is_refused(tmp_path, camera):
+    images(tmp_path / "walk", *(f"{side}_{n}.png" for n in range(3) for side in ("left", "right")))
+    with pytest.raises(InputError, match=r"several kinds \(3 left_#\.png, 3 right_#\.png\)"):
+        load_sequence(tmp_path / "walk", camera)
+
+
+def test_a_video_that_breaks_off_is_refused_unless_forced(tmp_path, camera):
+    """The header of the file tells how many frames there were."""
+    path = tmp_path / "walk.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 30, SIZE)
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        video.write(rng.integers(0, 256, (*SIZE[::-1], 3), dtype=np.uint8))
+    video.release()
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(InputError, match=r"of its 40 frames can be decoded; copy it again; --force"):
+        load_sequence(path, camera)
+    assert 10 < len(load_sequence(path, camera, force=True)) < 30
 
 
 def test_bad_input_is_one_line(tmp_path, camera):
