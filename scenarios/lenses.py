@@ -28,6 +28,9 @@ def lens_fault(
         model: ``radtan``, ``rational`` or ``equidistant``.
         coefficients: of the model, in OpenCV's order.
     """
+    if sees_too_far(size_px, focal_px, centre_px, model, coefficients):
+        problem = f"the lens sees more than {MOST_HALF_ANGLE_DEG:g} degrees to the side"
+        return problem, "give a longer focal length, or a narrower lens"
     width, height = size_px
     grid = np.meshgrid(np.linspace(-0.5, width - 0.5, _COLUMNS), np.linspace(-0.5, height - 0.5, _ROWS))
     bent = (np.stack(grid, axis=-1).reshape(-1, 2) - centre_px) / focal_px

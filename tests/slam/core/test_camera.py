@@ -134,7 +134,7 @@ def test_undistort_inverts_a_fisheye_over_the_whole_image(distortion):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"model": "omni"}, "camera model must be radtan or equidistant"),
+        ({"model": "omni"}, "camera model must be radtan or rational or equidistant"),
         ({"distortion": (0.0,) * 5}, "camera distortion must be 4 finite numbers"),
         ({"distortion": (-3.0, 0.0, 0.0, 0.0)}, "cannot be taken out"),
         ({"fx": 120.0, "fy": 120.0}, "cannot be taken out"),
