@@ -29,6 +29,7 @@ _OTHER_LENSES = {
     "thinprismfisheye": "the thin prism model",
 }
 CORNER = 0.5
+"""Coordinate of the first pixel's centre where its corner is the origin."""
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,11 @@ class Fields:
         return found[0]
 
     def number(self, *names: str) -> float:
+        """The number under the first of some names that is there."""
         return number_at(self.where, dict(self.data), self.key(*names))
 
     def maybe(self, *names: str) -> float | None:
+        """The same, None if it is missing."""
         return self.number(*names) if any(name in self.data for name in names) else None
 
     def numbers(self, *names: str, lengths: tuple[int, ...]) -> list[float]:
@@ -86,6 +89,7 @@ class Fields:
         return numbers_at(self.where, {key: value}, key, lengths)
 
     def part(self, name: str) -> "Fields":
+        """A mapping inside."""
         inside = self.data.get(name)
         if not isinstance(inside, Mapping):
             raise InputError(f"{self.where}: {name}", "is missing", "add it")
@@ -101,6 +105,7 @@ class Fields:
         return self.data[key]
 
     def size(self, *names: tuple[str, str]) -> tuple[int, int] | None:
+        """Width and height under the first pair of names that is there; None without one."""
         for wide, high in names:
             if wide in self.data and high in self.data:
                 return whole(self.where, self.number(wide), self.number(high))
@@ -156,6 +161,7 @@ def fov_lens(
         return {"focal_px": focal_px, "centre_px": centre_px}
     corner = np.maximum(centre_px, np.subtract(size_px, centre_px)) / focal_px
     spread = 2 * math.tan(omega / 2)
+    # At a radius of pi / 2 over omega the ray is at right angles to the axis.
     bent = min(float(np.hypot(*corner)) * omega, math.radians(89))
     t = np.linspace(0, math.atan(math.tan(bent) / spread), 400)[1:]
     radius, slope = np.arctan(spread * np.tan(t)) / omega, spread / omega
@@ -188,10 +194,12 @@ def chosen(where: str, name: str, names: list[str], alone: bool = False) -> str:
 
 
 def whole(where: str, width: float, height: float) -> tuple[int, int]:
+    """A size in whole pixels. Raises InputError for any other."""
     if width != int(width) or height != int(height):
         raise InputError(where, f"{width:g}x{height:g} is no image size", "give whole pixels")
     return int(width), int(height)
 
 
 def is_number(word: str) -> bool:
+    """True for the word of a decimal number."""
     return bool(re.fullmatch(r"[-+]?[\d.]+([eE][-+]?\d+)?", word))

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import SETTINGS_BYTES
 from dslab.sim.io.calibration import (
     CORNER,
     Calibration,
@@ -21,6 +22,9 @@ from dslab.sim.io.calibration import (
 from dslab.sim.io.text import check_words, read_rows, to_numbers
 from dslab.sim.sensors.camera import DISTORTION_KEYS
 
+KITTI_FPS = 10.0
+"""Images per second of the data set."""
+_PROJECTION = r"P\d|P_rect_\d\d"
 _COLMAP_MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
@@ -91,12 +95,27 @@ def _of_text(
     return Calibration(form, focal, centre, **lens_of(where, model, given), size_px=size)
 
 
-def _kitti(path: Path, name: str) -> Calibration:
-    rows = {words[0].rstrip(":"): (where, words[1:]) for where, words in read_rows(path, "")}
-    cameras = [key for key in rows if re.fullmatch(r"P\d|P_rect_\d\d", key)]
-    wanted = name if name in rows or not name.isdigit() else f"P_rect_{int(name):02d}"
-    key = chosen(str(path), wanted, cameras)
-    where, words = rows[key]
+def kitti_projection(path: Path, name: str = "") -> Calibration:
+    """The camera of a projection in KITTI's calib.txt or calib_cam_to_cam.txt; the first without a name.
+
+    Raises:
+        InputError: it is missing, there twice, or no projection of a rectified camera.
+    """
+    rows: dict[str, list[tuple[str, list[str]]]] = {}
+    for where, words in read_rows(
+        path, "add it with lines such as `P0: ` and 12 numbers", most_bytes=SETTINGS_BYTES
+    ):
+        rows.setdefault(words[0].rstrip(":"), []).append((where, words[1:]))
+    wanted = name if name in rows or not name.isdecimal() else f"P_rect_{int(name):02d}"
+    key = wanted or next((key for key in rows if re.fullmatch(_PROJECTION, key)), "P0")
+    if key not in rows:
+        shown = ", ".join(key for key in rows if re.fullmatch(_PROJECTION, key)) or "none"
+        raise InputError(
+            f"{path}: {key}", "is missing", f"add the line `{key}: ` and 12 numbers, it has {shown}"
+        )
+    if len(rows[key]) > 1:
+        raise InputError(f"{rows[key][1][0]}: {key}", "appears twice", "keep one of them")
+    where, words = rows[key][0]
     names = [f"{key}[{i}]" for i in range(12)]
     check_words(where, words, names)
     fx, skew, cx, _, other, fy, cy, _, *last = to_numbers(where, words, names)
@@ -104,9 +123,10 @@ def _kitti(path: Path, name: str) -> Calibration:
         remedy = "write fx 0 cx 0 0 fy cy 0 0 0 1 0"
         raise InputError(f"{where}: {key}", "is no projection of a rectified camera", remedy)
     size = None
-    if (at := rows.get(key.replace("P_", "S_"))) and key.startswith("P_rect"):
-        size = whole(at[0], *to_numbers(at[0], at[1], ["width", "height"]))
-    return Calibration("KITTI calibration", (fx, fy), (cx, cy), size_px=size, fps=10.0)
+    for size_at, size_words in rows.get(key.replace("P_", "S_"), []) if key.startswith("P_rect") else []:
+        check_words(size_at, size_words, ["width", "height"])
+        size = whole(size_at, *to_numbers(size_at, size_words, ["width", "height"]))
+    return Calibration("KITTI calibration", (fx, fy), (cx, cy), size_px=size, fps=KITTI_FPS)
 
 
 def _all_match(pattern: str, lines: list[str]) -> bool:
@@ -121,7 +141,7 @@ def _dso_like(lines: list[str]) -> bool:
 
 
 TABLES: tuple[tuple[Callable[[list[str]], bool], Callable[[Path, str], Calibration]], ...] = (
-    (lambda lines: any(re.match(r"(P\d|P_rect_\d\d):\s", line) for line in lines), _kitti),
+    (lambda lines: any(re.match(rf"({_PROJECTION}):\s", line) for line in lines), kitti_projection),
     (lambda lines: _all_match(r"\d+\s+[A-Z_]{3,}\s+\d+\s+\d+\s", lines), _colmap),
     (_dso_like, _dso),
 )

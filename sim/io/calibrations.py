@@ -115,11 +115,7 @@ def _camera_info(fields: Fields, name: str) -> Calibration:
 
 def _kalibr(fields: Fields, name: str) -> Calibration:
     camera = fields.part(chosen(fields.where, name, [k for k in fields.data if str(k).startswith("cam")]))
-    kind = camera.word("camera_model", default="pinhole")
-    if lens_model(f"{camera.where}: camera_model", kind) == "rational":
-        raise InputError(
-            f"{camera.where}: camera_model", f"{kind!r} is not supported", "give a pinhole camera"
-        )
+    lens_model(f"{camera.where}: camera_model", camera.word("camera_model", default="pinhole"))
     fx, fy, cx, cy = camera.numbers("intrinsics", lengths=(4,))
     size = whole(camera.where, *camera.numbers("resolution", lengths=(2,)))
     lens = camera.word("distortion_model", default="none")
@@ -190,15 +186,11 @@ def euroc_sensor(fields: Fields, name: str = "") -> Calibration:
 
 
 def _transforms(fields: Fields, name: str) -> Calibration:
-    frames = fields.data.get("frames", [])
-    own = {
-        tuple(f.get(k) for k in ("fl_x", "fl_y", "cx", "cy", "w", "h"))
-        for f in frames
-        if isinstance(f, Mapping)
-    }
-    if len(own) > 1:
+    listed = fields.data.get("frames", [])
+    frames = [f for f in listed if isinstance(f, Mapping)] if isinstance(listed, list) else []
+    if len({repr([f.get(k) for k in _OF_A_FRAME]) for f in frames}) > 1:
         raise InputError(f"{fields.where}: frames", "have cameras of their own", "give images of one camera")
-    if "fl_x" not in fields.data and frames and isinstance(frames[0], Mapping) and "fl_x" in frames[0]:
+    if frames and "fl_x" not in fields.data:
         fields = Fields(fields.where, {**fields.data, **frames[0]})
     size = fields.size(("w", "h"))
     if "fl_x" in fields.data:
@@ -219,6 +211,7 @@ def _transforms(fields: Fields, name: str) -> Calibration:
     )
 
 
+_OF_A_FRAME = ("fl_x", "fl_y", "cx", "cy", "w", "h")
 _MATRIX = (
     "camera_matrix",
     "cameraMatrix",

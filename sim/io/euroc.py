@@ -146,9 +146,14 @@ def _read_camera(directory: Path) -> tuple[Intrinsics, np.ndarray]:
     steps_ns = np.diff(np.array(stamps))
     fps = round(1e9 / float(np.median(steps_ns)), 4) if len(steps_ns) else None
     if not is_given(path) and is_given(camchain):
-        mounting = read_yaml(camchain, "calibration").data["cam0"].get("T_cam_imu") or np.eye(4).tolist()
-        rows = {"data": [value for row in mounting for value in row]}
-        return read_camera(camchain, fps=fps), np.linalg.inv(_matrix(camchain, {"T_BS": rows}))
+        mounting = Fields(str(camchain), read_yaml(camchain, "calibration").data).part("cam0")
+        T = (
+            mounting.numbers("T_cam_imu", lengths=(16,))
+            if "T_cam_imu" in mounting.data
+            else np.eye(4).ravel()
+        )
+        T_cam_body = _matrix(camchain, {"T_BS": {"data": [float(value) for value in T]}})
+        return read_camera(camchain, fps=fps), np.linalg.inv(T_cam_body)
     sensor = _sensor(path, _SENSOR_KEYS)
     found = euroc_sensor(Fields(str(path), sensor))
     return intrinsics_of(found, path, fps=fps), _matrix(path, sensor)

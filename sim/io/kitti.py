@@ -12,14 +12,16 @@ A synchronised raw drive has ``image_00/data`` and ``image_00/timestamps.txt``, 
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.errors import InputError, notice
-from dslab.scenarios.input_files import SETTINGS_BYTES, file_names, is_folder, is_given
-from dslab.sim.io.camera_file import check_camera
+from dslab.scenarios.input_files import file_names, is_folder, is_given
+from dslab.sim.io.calibration_tables import KITTI_FPS, kitti_projection
+from dslab.sim.io.camera_file import intrinsics_of, other_size
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
@@ -43,7 +45,6 @@ IMAGES_DIRS = {"image_0": "P0", "image_2": "P2", "image_1": "P1", "image_3": "P3
 RAW_DIRS = {f"image_{n:02d}": f"P_rect_{n:02d}" for n in (0, 2, 1, 3)}
 """The same of raw drives."""
 _RAW_CALIBRATION, _RAW_TIMES = "calib_cam_to_cam.txt", "timestamps.txt"
-_FPS = 10.0
 _POSE_NAMES = [f"r{row}{column}" for row in range(3) for column in range(4)]
 _POSES_NAME = re.compile(r"[0-9][0-9]\.txt|poses\.txt")
 
@@ -88,8 +89,8 @@ def load_kitti(folder: Path) -> Sequence:
     if is_given(times):
         stamps_s = _read_raw_times(times) if raw else _read_times(times)
     else:
-        stamps_s = np.arange(len(images)) / _FPS
-        notice(str(folder), f"has no {times.name}: frames count as taken {_FPS:g} times a second")
+        stamps_s = np.arange(len(images)) / KITTI_FPS
+        notice(str(folder), f"has no {times.name}: frames count as taken {KITTI_FPS:g} times a second")
     if len(images) != len(stamps_s):
         problem = f"holds {len(images)} images, {times.name} {len(stamps_s)} stamps"
         raise InputError(
@@ -98,7 +99,7 @@ def load_kitti(folder: Path) -> Sequence:
     check_present(images, times.name)
     shape = image_shape(images[0])
     # Stamps are printed to a nanosecond: further digits of the rate are rounding errors.
-    fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else _FPS
+    fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else KITTI_FPS
     return Sequence(
         camera=_read_calibration(folder, raw, shape, fps),
         stamps_s=stamps_s,
@@ -156,24 +157,11 @@ def _read_calibration(folder: Path, raw: bool, shape: tuple[int, int], fps: floa
         path = path if is_given(path) else folder.resolve().parent / _RAW_CALIBRATION
     else:
         key, path = IMAGES_DIRS[directory.name], folder / CALIBRATION_FILE
-    advice = f"add the line `{key}: ` and 12 numbers"
-    rows = read_rows(path, advice, most_bytes=SETTINGS_BYTES)
-    found = [(where, words[1:]) for where, words in rows if words[0] == f"{key}:"]
-    if not found:
-        raise InputError(f"{path}: {key}", "is missing", advice)
-    if len(found) > 1:
-        raise InputError(f"{found[1][0]}: {key}", "appears twice", "keep one of them")
-    where, words = found[0]
-    names = [f"{key}[{index}]" for index in range(12)]
-    check_words(where, words, names)
-    P = np.reshape(to_numbers(where, words, names), (3, 4))
-    if P[0, 1] or P[1, 0] or list(P[2, :3]) != [0, 0, 1]:
-        remedy = "write fx 0 cx 0 0 fy cy 0 0 0 1 0"
-        raise InputError(f"{where}: {key}", "is no projection of a rectified camera", remedy)
-    fx, fy, cx, cy = (float(value) for value in (P[0, 0], P[1, 1], P[0, 2], P[1, 2]))
-    camera = Intrinsics(shape[1], shape[0], fx, fy, cx, cy, fps)
-    check_camera(path, camera)
-    return camera
+    found = replace(kitti_projection(path, key), fps=fps)
+    # A raw drive whose images are not rectified has others than its projection is for.
+    if found.size_px and found.size_px != shape[::-1]:
+        raise other_size(str(directory), shape[::-1], found.size_px[::-1], str(path))
+    return intrinsics_of(found, path, shape[::-1])
 
 
 def _poses_file(folder: Path) -> Path | None:

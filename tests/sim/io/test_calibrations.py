@@ -208,7 +208,7 @@ def test_every_form_gives_its_camera(name, tmp_path):
 def test_a_suffix_names_the_camera(tmp_path):
     (tmp_path / "calib.txt").write_text(KITTI)
     assert read_camera(tmp_path / "calib.txt:P2", (1241, 376)).fx == 710
-    with pytest.raises(InputError, match=r"holds no camera 'P7'.*P0, P2"):
+    with pytest.raises(InputError, match=r"P7: is missing.*it has P0, P2"):
         read_camera(tmp_path / "calib.txt:P7", (1241, 376))
 
 
@@ -262,6 +262,9 @@ FAULTS = {
     "entities": ("o.xml", '<!DOCTYPE x [<!ENTITY a "b">]><opencv_storage/>', "with a document type"),
     "skew": ("o.yaml", opencv(FIVE).replace("458.5, 0,", "458.5, 7,"), "camera_matrix: is no camera matrix"),
     "notes": ("notes.yaml", "a: 1\n", "is no calibration of a known form; give one of"),
+    "frames": ("transforms.json", '{"frames": {"a": 1}, "w": 9, "h": 9}', "camera_angle_x: is missing"),
+    "lists": ("transforms.json", '{"frames": [{"fl_x": [1]}]}', "fl_x: [1] is not a finite number"),
+    "size": ("calib.txt", RAW.replace(" 3.760000e+02", ""), "1 numbers where 2 belong"),
     "many": ("transforms.json", '{"frames": [{"fl_x": 1}, {"fl_x": 2}]}', "cameras of their own"),
 }
 

@@ -96,6 +96,9 @@ def test_a_raw_drive_is_read(folder, tmp_path):
     read = load_sequence(drive)
     assert detect_form(drive) is Form.KITTI and read.camera == replace(PINHOLE, fps=10.0)
     np.testing.assert_allclose(read.stamps_s, np.arange(COUNT) / 10, atol=1e-9)
+    extracted = drive.parent / "calib_cam_to_cam.txt"
+    extracted.write_text("S_rect_00: 60 40\n" + extracted.read_text())
+    fault(drive, "image_00/data", "64x48 pixels", "calib_cam_to_cam.txt says 60x40")
     edit(drive / "image_00" / "timestamps.txt", "2011-09-26 13", "yesterday 13")
     fault(drive, "timestamps.txt:1: timestamp: 'yesterday 13")
 
