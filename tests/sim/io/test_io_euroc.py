@@ -137,6 +137,9 @@ def test_without_a_sensor_file_the_camchain_counts(folder):
     read = load_sequence(folder)
     assert read.camera == replace(written.camera, fps=30.0)
     np.testing.assert_allclose(read.T_world_cam, written.T_world_cam, atol=1e-8)
+    for bad in ({"cam1": camera}, {"cam0": camera | {"T_cam_imu": 3}}):
+        (folder / "dso" / "camchain.yaml").write_text(yaml.safe_dump(bad))
+        fault(folder, "camchain.yaml", "cam0")
 
 
 def test_positions_alone_are_no_truth_and_it_is_said(folder):
