@@ -6,6 +6,7 @@ import os
 import pickle
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import parent_process
@@ -15,6 +16,7 @@ from threading import Thread
 from typing import Any
 
 from dslab.experiments.plugins import load_plugins
+from dslab.scenarios.errors import InputNotice
 
 Task = Callable[[Any], Any]
 """Takes an item and returns its result; pickled by name: a function of a module, or a partial of one."""
@@ -28,6 +30,8 @@ def serve(connection: Connection, task: Task, time_s: float | None, report: Path
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    # What is noticed of an input is said once, by the parent, which opens it before there are jobs.
+    warnings.simplefilter("ignore", InputNotice)
     Thread(target=_end_with_parent, daemon=True).start()
     gc.freeze()  # imported modules stay: the collection after each item need not visit them
     while True:

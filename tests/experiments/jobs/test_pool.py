@@ -17,7 +17,7 @@ import pytest
 from dslab.experiments.jobs import pool as pools
 from dslab.experiments.jobs.pool import MEMORY_FLOOR_MB, PoolSettings, ProcessPool, run_each
 from dslab.experiments.runs.ending import EndKind
-from dslab.scenarios.errors import InputError, MachineError
+from dslab.scenarios.errors import InputError, MachineError, notice
 
 KILLED = """
 import os, signal
@@ -27,6 +27,16 @@ if __name__ == "__main__":
         print(worker, flush=True)
         os.kill(os.getpid(), signal.SIGKILL)
 """
+
+
+def told_of_an_input(item):
+    notice("walk", "has no times.txt")
+    return item
+
+
+def test_what_the_parent_has_said_of_an_input_no_worker_says_again(capfd):
+    assert [result for _, result in run_each(told_of_an_input, [1, 2], 2)] == [1, 2]
+    assert capfd.readouterr().err == ""
 
 
 def told(what):
