@@ -15,6 +15,7 @@ from dslab.experiments.evaluation.breakages import (
 from dslab.experiments.evaluation.declared_audit import audit_declared
 from dslab.experiments.evaluation.metrics import Truth
 from dslab.experiments.evaluation.relation_audit import RELATION_BOUNDS
+from dslab.experiments.evaluation.truth_convention import truth_fault
 from dslab.experiments.evaluation.whole_run_audit import LiveAudit, WrongStretch, audit_live, audit_maps
 from dslab.experiments.runs.execution import RunRecord
 
@@ -104,7 +105,9 @@ def audit_record(record: RunRecord) -> dict | None:
     outcomes = breakage_outcomes(record.events, record.sequence.segments, stamps_s.tolist())
     live = audit_live(record, BOUNDS)
     losses = loss_findings(record, outcomes, live, BOUNDS)
+    path = record.trajectories[0] if record.trajectories else None
     return {
+        "truth_fault": truth_fault(Truth.of(record.sequence), path) if path else "",
         "bounds": asdict(BOUNDS),
         "relation_bounds": asdict(RELATION_BOUNDS),
         "losses": [asdict(f) | {"true_loss_time_s": _time_s(f.true_loss_frame, stamps_s)} for f in losses],

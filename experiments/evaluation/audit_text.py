@@ -24,7 +24,8 @@ def audit_text(summary: dict[str, Any]) -> str:
     if delays_s:
         losses += f", {median(delays_s):.2f} s after the pose was truly lost"
         losses += " (median)" if len(delays_s) > 1 else ""
-    parts = [losses, *silence_parts(summary)]
+    parts = [f"not to be trusted, as {audit['truth_fault']}"] if audit.get("truth_fault") else []
+    parts += [losses, *silence_parts(summary)]
     parts += [_false(one, many, audit[many]) for one, many in _DECLARED.items() if audit[many]]
     unjudged = sum(f["silent"] is None for f in audit["losses"])
     unjudged += sum(row["false"] is None for many in _DECLARED.values() for row in audit[many])
@@ -40,6 +41,8 @@ def runs_text(summaries: Sequence[dict[str, Any]]) -> str:
     silent, corrupted, unlooked = (sum(column) for column in zip(*said, strict=True))
     parts = [f"silent losses in {silent or 'none'}", f"corrupted maps in {corrupted or 'none'}"]
     parts += [f"not looked for in {unlooked}"] if unlooked else []
+    faults = [fault for s in summaries if s["audit"] and (fault := s["audit"].get("truth_fault"))]
+    parts += [f"not to be trusted in {len(faults)}, as {faults[0]}"] if faults else []
     return f"audit by the truth, of {len(summaries)} runs: {', '.join(parts)}"
 
 
