@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,8 @@ _PLAIN: Any = {"markup": False, "emoji": False, "highlight": False}
 out = Console(**_PLAIN)
 err = Console(stderr=True, **_PLAIN)
 _MOST_SEED = 2**63 - 1  # larger ones could not be read back from the files that name them
+LOG_EVERY_S = 60.0
+"""Between the lines of progress of a command without a terminal."""
 _OF_FIGURES = "-.0123456789"
 
 
@@ -145,6 +148,8 @@ class _Bars(Progress):
 def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
     """Show progress on stderr, one bar per step; yields a callback of (step, done, total, note below).
 
+    Without a terminal a line is written now and then, so that a log tells that a long command goes on.
+
     Args:
         kernels: compile those that are not there yet, as a first step; False for what runs no SLAM.
     """
@@ -155,8 +160,13 @@ def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
         speed_estimate_period=math.inf,
     ) as bars:  # fmt: skip
         tasks: dict[str, Any] = {}
+        written_s = time.monotonic()
 
         def show(step: str, done: int, total: int, note: str = "") -> None:
+            nonlocal written_s
+            if not err.is_terminal and time.monotonic() - written_s >= LOG_EVERY_S:
+                written_s = time.monotonic()
+                err.print(f"{step}: {done} of {total}", soft_wrap=True)
             bars.note = note
             if step not in tasks:
                 tasks[step] = bars.add_task(step)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
-from dslab.experiments.cli import run_tables
+from dslab.experiments.cli import console, run_tables
 from dslab.experiments.cli.run_tables import breakage_table
 from dslab.experiments.cli.view import view_command
 from dslab.experiments.evaluation.audit_text import audit_text
@@ -158,3 +158,13 @@ def test_a_degraded_sequence_goes_by_its_source_and_says_the_stress():
     summary = summarise(execute(degraded, "base", 0, build=fake_factory(degraded)))
     assert summary["sequence"] == "made-up, degraded: low texture 5-6 s"
     assert summary["sequence"] in run_tables.summary_table(summary).title
+
+
+def test_without_a_terminal_a_line_now_and_then_tells_that_it_goes_on(monkeypatch, capsys):
+    monkeypatch.setattr(console.err, "_width", None)
+    for every_s, said in ((60.0, ""), (0.0, "rendering: 1 of 3\nrendering: 2 of 3\n")):
+        monkeypatch.setattr(console, "LOG_EVERY_S", every_s)
+        with console.progress_bars(kernels=False) as show:
+            show("rendering", 1, 3)
+            show("rendering", 2, 3)
+        assert capsys.readouterr().err == said
