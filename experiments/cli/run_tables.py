@@ -53,7 +53,7 @@ def summary_table(summary: dict) -> Table:
     rows |= {
         "frames tracked": f"{summary['tracked']} of {frames} ({share(summary['share_tracked'])})",
         "frames with a pose in the end": f"{summary['posed']} of {frames} ({share(summary['share_posed'])})",
-        "first tracked frame": "none: never initialized" if first is None else begun,
+        "first tracked frame": _never_initialized(summary) if first is None else begun,
         "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
         "breakages / recovered / relocalized": f"{summary['breakages']} / {summary['recoveries']} / "
         f"{summary['relocalizations']}",
@@ -70,6 +70,25 @@ def summary_table(summary: dict) -> Table:
     table = table_of(({"": name, "is": value} for name, value in rows.items()), title)
     table.show_header, table.columns[1].justify = False, "left"
     return table
+
+
+_TRY = {
+    "too_few_keypoints": "images show too few corners: try larger, brighter or sharper ones",
+    "too_few_matches": "successive images have little in common: try a higher frame rate, or less blur",
+    "low_parallax": "the camera hardly moves, or only turns: begin where it moves sideways",
+    "no_model": "no motion explains the matches: check the calibration, and that frames are in order",
+    "few_points": "few matches fit one motion: check the calibration",
+    "few_points_after_adjustment": "few matches fit one motion: check the calibration",
+}
+
+
+def _never_initialized(summary: dict) -> str:
+    reason = summary["reason_not_initialized"]
+    if not reason:
+        return "none: never initialized"
+    word, _, where = reason.partition(" ")
+    advice = f"; {_TRY[word]}" if word in _TRY else ""
+    return f"none: never initialized, {_words(word)} {where}{advice}"
 
 
 def systems_table(summaries: Mapping[str, dict]) -> Table:

@@ -1,5 +1,6 @@
 """The summary of a run: counts, accuracy, times, audit; null for undetermined figures."""
 
+from collections import Counter
 from collections.abc import Sequence as Many
 from dataclasses import asdict
 
@@ -70,6 +71,12 @@ def sequence_label(sequence: Sequence) -> str:
         return sequence.name
     stress = ", ".join(f"{describe_kind(s.kind)} {s.start_s:g}-{s.end_s:g} s" for s in sequence.segments)
     return f"{sequence.name}, degraded: {stress}"
+
+
+def _commonest_reason(record: RunRecord) -> str:
+    """The reason that most frames have, and in how many of them; empty without reasons."""
+    reasons = Counter(result.reason for result in record.results if result.reason)
+    return "{} in {} of {} frames".format(*reasons.most_common(1)[0], len(record.results)) if reasons else ""
 
 
 def is_tracked(result: TrackingResult) -> bool:
@@ -156,6 +163,7 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
         "share_posed": posed / frames if frames else None,
         "share_tracked_after_init": None if first is None else len(tracked) / (frames - first),
         "first_tracked_frame": first,
+        "reason_not_initialized": _commonest_reason(record) if first is None else "",
         "frames_to_initialise": None if first is None else first + 1,
         "time_to_initialise_s": None if first is None else stamps_s[first] - stamps_s[0],
         "maps": len(record.trajectories),

@@ -3,6 +3,8 @@
 import json
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
@@ -100,6 +102,21 @@ def test_what_never_starts_and_has_no_truth_is_said_without_none(run_fake):
     code, out, _ = run_fake(truth=False, starts_at=10_000)
     assert code == 0 and "None" not in out
     assert "never initialized" in out and "no ground truth" in out
+
+
+def test_what_kept_a_system_from_starting_is_said_with_what_to_try(dslab, tmp_path):
+    (tmp_path / "night").mkdir()
+    for n in range(12):
+        cv2.imwrite(str(tmp_path / "night" / f"{n}.png"), np.zeros((64, 96), np.uint8))
+    (tmp_path / "camera.yaml").write_text(
+        "{fx: 80, fy: 80, cx: 47.5, cy: 31.5, width: 96, height: 64, fps: 20}"
+    )
+    code, out, _ = dslab(
+        "run", tmp_path / "night", "--camera", tmp_path / "camera.yaml", "--out", tmp_path / "o"
+    )
+    said = " ".join(out.split())
+    assert code == 0 and "never initialized, too few keypoints in 12 of 12 frames" in said
+    assert "try larger, brighter or sharper ones" in said
 
 
 def test_several_systems_have_a_folder_each_and_one_picture_table_and_recording(
