@@ -90,7 +90,7 @@ def figures_of(record: RunRecord, summary: dict) -> Row:
         record: the run.
         summary: of :func:`experiments.evaluation.summary.summarise`.
     """
-    frames = len(record.sequence) + record.dropped_frames
+    frames = len(record.sequence) + record.dropped_frames + record.unreadable_frames
     posed = len(record.trajectories[0].frames) if record.trajectories else 0
     rpe = summary["rpe"] or {}
     intact = judge_intact(record.trajectories, _first_pose_s(record), float(record.sequence.stamps_s[-1]))

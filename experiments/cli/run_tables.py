@@ -50,6 +50,7 @@ def summary_table(summary: dict) -> Table:
     begun = f"{first}, after {number(summary['time_to_initialise_s'], 2, ' s')}"
     rows = {} if summary["ended"] == "finished" else {"ended": _ending_text(summary)}
     rows |= {"frames dropped, too late": summary["dropped_frames"]} if summary["dropped_frames"] else {}
+    rows |= {"frames left out, unreadable": unread} if (unread := summary["unreadable_frames"]) else {}
     rows |= {
         "frames tracked": f"{summary['tracked']} of {frames} ({share(summary['share_tracked'])})",
         "frames with a pose in the end": f"{summary['posed']} of {frames} ({share(summary['share_posed'])})",

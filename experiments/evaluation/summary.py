@@ -33,8 +33,8 @@ def summarise(record: RunRecord) -> dict:
     ``scale_along`` is true over estimated path length per tenth of the path, ``scale_first_over_last`` that
     of the first quarter over that of the last: 1 without scale drift.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
-    per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed; they are
-    not among the ``frames``.
+    per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed,
+    ``unreadable_frames`` could not be read; neither are among the ``frames``.
     ``ended`` says how the run ended, ``declares`` what the system says of itself (``events``, ``losses`` or
     ``nothing``), and ``live_poses`` whether they were given frame by frame: ``final`` ones stand in for them
     where a program does not say.
@@ -157,6 +157,7 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
     return {
         "frames": frames,
         "dropped_frames": record.dropped_frames,
+        "unreadable_frames": record.unreadable_frames,
         "tracked": len(tracked),
         "share_tracked": len(tracked) / frames if frames else None,
         "posed": posed,

@@ -10,7 +10,7 @@ import numpy as np
 from dslab.experiments.runs.ending import FINISHED, Declares, Ending
 from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 from dslab.experiments.runs.pacing import RealTime
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, notice
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 from dslab.slam.config import SlamConfig
@@ -75,6 +75,7 @@ class RunRecord:
         wall_s: time spent in the system.
         peak_rss_mb: largest resident memory of the process during the run.
         dropped_frames: number of frames that were too late to be fed.
+        unreadable_frames: number of frames that could not be read, and were left out.
         ending: how the run ended.
         declares: what the system says of itself.
         has_live_poses: False if ``live`` had to be made from the final poses.
@@ -94,6 +95,7 @@ class RunRecord:
     wall_s: float
     peak_rss_mb: float
     dropped_frames: int = 0
+    unreadable_frames: int = 0
     ending: Ending = FINISHED
     declares: Declares = Declares.EVENTS
     has_live_poses: bool = True
@@ -127,8 +129,8 @@ def execute(
 ) -> RunRecord:
     """Run a system over a sequence; its only inputs are image, time and intrinsics.
 
-    A system numbers the frames that it is fed. If some are dropped, the record is that of a sequence without
-    them.
+    A system numbers the frames that it is fed. If some are dropped, or cannot be read, the record is of a
+    sequence without them.
 
     Args:
         sequence: frames, times, camera; its truth is not passed on.
@@ -141,17 +143,22 @@ def execute(
         at_end: called with the finished system.
 
     Raises:
-        InputError: a frame cannot be read.
+        InputError: no frame can be read.
     """
     system = (build or system_factory())(system_kind, slam_camera(sequence.camera), seed)
     reset_peak()
     results: list[TrackingResult] = []
     fed: list[int] = []
+    unread: list[InputError] = []
     wall_s = 0.0
     for index, stamp_s in enumerate(sequence.stamps_s):
         if pace is not None and pace.is_late(index):
             continue
-        image = sequence.frames[index]
+        try:
+            image = sequence.frames[index]
+        except InputError as fault:
+            unread.append(fault)
+            continue
         if pace is not None:
             pace.wait_for(index)
         fed.append(index)
@@ -163,6 +170,10 @@ def execute(
         results.append(without_features(result))
         if progress is not None:
             progress(index + 1, len(sequence))
+    if unread and not fed:
+        raise unread[0]
+    if unread:
+        notice(unread[0].where, f"{unread[0].problem}; {len(unread)} frames that cannot be read are left out")
     started = time.perf_counter()
     system.finish()
     wall_s += time.perf_counter() - started
@@ -171,7 +182,8 @@ def execute(
         sequence = sequence.only(np.array(fed, int))
     if at_end is not None:
         at_end(system, sequence)
-    return record_of(system, sequence, system_kind, seed, results, wall_s, dropped)
+    record = record_of(system, sequence, system_kind, seed, results, wall_s, dropped - len(unread))
+    return replace(record, unreadable_frames=len(unread))
 
 
 def record_of(

@@ -320,8 +320,13 @@ def test_settings_are_those_of_our_systems():
     assert system.settings["mode"] == "threaded" and spec.row_key != spec_of(mode="threaded").row_key
 
 
-def test_runs_that_could_not_be_made_are_said_after_the_table(dslab, folder, tmp_path, in_this_process):
-    (folder / "rgb" / sorted(p.name for p in (folder / "rgb").iterdir())[9]).write_bytes(b"no image")
+def test_runs_that_could_not_be_made_are_said_after_the_table(
+    dslab, folder, tmp_path, in_this_process, monkeypatch
+):
+    def torn(*_, **__):
+        raise InputError(str(folder), "is gone", "put it back")
+
+    monkeypatch.setattr(batch_run, "run_system", torn)
     (tmp_path / "batch.yaml").write_text(f"sequences: [{folder}]\nsystems: ['{EXAMPLE}']\nruns: 1\n")
     code, out, err = dslab("batch", tmp_path / "batch.yaml", "--out", tmp_path / "b")
     assert code == 1 and "0 of 0" in out and "1 of 1 runs could not be made: InputError" in err

@@ -119,6 +119,20 @@ def test_what_kept_a_system_from_starting_is_said_with_what_to_try(dslab, tmp_pa
     assert "try larger, brighter or sharper ones" in said
 
 
+def test_a_damaged_image_in_the_middle_is_left_out_and_counted(dslab, tmp_path):
+    (tmp_path / "walk").mkdir()
+    for n in range(12):
+        cv2.imwrite(str(tmp_path / "walk" / f"{n:02d}.png"), np.zeros((64, 96), np.uint8))
+    (tmp_path / "walk" / "06.png").write_bytes((tmp_path / "walk" / "06.png").read_bytes()[:-20])
+    camera = tmp_path / "camera.yaml"
+    camera.write_text("{fx: 80, fy: 80, cx: 47.5, cy: 31.5, width: 96, height: 64, fps: 20}")
+    code, out, err = dslab("run", tmp_path / "walk", "--camera", camera, "--out", tmp_path / "o")
+    assert code == 0 and "06.png: is cut short or damaged; 1 frames that cannot be read are left out" in err
+    assert "frames left out, unreadable 1" in " ".join(out.split())
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert (summary["frames"], summary["unreadable_frames"], summary["dropped_frames"]) == (11, 1, 0)
+
+
 def test_several_systems_have_a_folder_each_and_one_picture_table_and_recording(
     run_fake, tmp_path, monkeypatch
 ):
