@@ -9,6 +9,7 @@ from slam_fakes import FakeSystem, make_sequence
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs.execution import execute
 from dslab.experiments.runs.pacing import RealTime
+from dslab.scenarios.errors import InputNotice
 from dslab.sim.sequence import SegmentTruth
 
 
@@ -65,6 +66,14 @@ def test_a_system_that_takes_three_intervals_is_fed_every_third_frame():
     assert set(steps[2:]) == {3}
     assert record.dropped_frames == 90 - len(record.results)
     assert summarise(record)["dropped_frames"] == record.dropped_frames
+
+
+def test_an_hour_without_frames_is_not_waited_for():
+    sequence = make_sequence(90, segment=None)
+    stamps_s = sequence.stamps_s + np.where(np.arange(90) > 40, 3600.0, 0.0)
+    with pytest.warns(InputNotice, match="frame 41 comes 3600 s after the one before; 10 s are waited"):
+        record, _, clock = run(replace(sequence, stamps_s=stamps_s), lambda stamp_s: 0.02)
+    assert record.dropped_frames == 0 and clock.time_s - 1000 == pytest.approx(88 / 30 + 10 + 0.02)
 
 
 def test_a_hitch_costs_only_the_frames_within_it():
