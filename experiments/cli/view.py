@@ -6,8 +6,8 @@ from typing import Annotated, Any
 
 import typer
 
-from dslab.experiments.cli.console import err
-from dslab.scenarios.errors import InputError
+from dslab.experiments.cli.console import err, say
+from dslab.scenarios.errors import InputError, MachineError
 
 
 def view_command(
@@ -15,15 +15,21 @@ def view_command(
     at: Annotated[
         float | None, typer.Option(min=0, help="Opening time in seconds from the first frame.")
     ] = None,
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve it to a browser of this machine until Ctrl+C.")
+    ] = False,
 ) -> None:
     """Open a recording in the rerun viewer at its first breakage.
 
-    Example: `dslab view out/demo`
+    Examples: `dslab view out/demo`, `dslab view out/demo --web`
     """
     from dslab.scenarios.input_files import is_folder, open_file
 
     recording = path / "recording.rrd" if is_folder(path) else path
     open_file(recording, if_missing="make a recording with dslab run --rerun").close()
+    if web:
+        _serve(recording)
+        return
     stamp_s = at if at is not None else _first_breakage_s(recording.parent)
     from dslab.experiments.recording import open_viewer
 
@@ -33,6 +39,15 @@ def view_command(
         remedy = f"it needs a display; on a machine that has one: rerun {recording}"
         raise InputError("rerun viewer", "does not start", remedy) from error
     err.print(f"opened {recording} at {stamp_s:.2f} s")
+
+
+def _serve(recording: Path) -> None:
+    from dslab.experiments.recording.viewer import served_viewer
+
+    with served_viewer(recording) as (address, server):
+        say(address)
+        if server.wait():
+            raise MachineError("rerun viewer", "does not start", f"try: rerun {recording} --serve-web")
 
 
 def _first_breakage_s(folder: Path) -> float:

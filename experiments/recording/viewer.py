@@ -2,6 +2,7 @@
 
 import os
 import socket
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -27,6 +28,22 @@ def open_viewer(path: Path, stamp_s: float) -> None:
         viewer.set_time("time", duration=stamp_s, play_state="paused")
     except RuntimeError as error:
         raise ConnectionError(str(error)) from error
+
+
+@contextmanager
+def served_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen]]:
+    """Serve a recording and rerun's viewer to browsers of this machine; yields the address and the server."""
+    pages, data = _free_port(), _free_port()
+    rerun = Path(sys.executable).with_name("rerun")
+    ports = ("--bind", "127.0.0.1", "--web-viewer-port", str(pages), "--port", str(data))
+    server = subprocess.Popen(
+        [rerun, path, "--serve-web", *ports], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    try:
+        yield f"http://127.0.0.1:{pages}?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy", server
+    finally:
+        server.terminate()
+        server.wait()
 
 
 @contextmanager

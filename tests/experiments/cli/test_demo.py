@@ -1,6 +1,8 @@
 """The demonstration writes its files, replaces only its own, and prints what happened in runs and units."""
 
 import time
+import urllib.error
+import urllib.request
 
 import pytest
 from pool_fakes import open_local_pool
@@ -14,6 +16,7 @@ from dslab.experiments.cli.run_tables import systems_table
 from dslab.experiments.cli.view import view_command
 from dslab.experiments.demo import run_demo
 from dslab.experiments.eq1.spec import load_spec
+from dslab.experiments.recording.viewer import served_viewer
 from dslab.experiments.statistics.analysis import analyse
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.loading import load_scenario
@@ -145,3 +148,19 @@ def test_its_scenario_has_the_three_stresses_one_after_the_other_with_clean_time
     assert [s.kind for s in segments] == ["low_texture", "motion_blur", "fast_rotation"]
     edges_s = [0, *(t for s in segments for t in (s.start_s, s.end_s)), scenario.duration_s]
     assert all(end - start >= 4 for start, end in zip(edges_s[::2], edges_s[1::2], strict=True))
+
+
+@pytest.mark.slow
+def test_a_browser_of_this_machine_is_served_until_it_ends(demo):
+    with served_viewer(demo[0] / "recording.rrd") as (address, server):
+        assert address.startswith("http://127.0.0.1:")
+        until_s = time.monotonic() + 30
+        while True:
+            try:
+                with urllib.request.urlopen(address) as page:
+                    assert page.status == 200 and b"<html" in page.read().lower()
+                break
+            except urllib.error.URLError:
+                assert time.monotonic() < until_s and server.poll() is None
+                time.sleep(0.1)
+    assert server.poll() is not None
