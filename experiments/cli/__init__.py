@@ -21,6 +21,7 @@ def main() -> None:
     with safe_streams(), signals_as_interrupts() as received:
         warnings.showwarning = _show_warning
         try:
+            _check_environment()
             # Imported here, so that a signal meanwhile is heeded too.
             from dslab.experiments.cli.commands import run_app
             from dslab.experiments.plugins import load_plugins
@@ -41,6 +42,14 @@ def main() -> None:
                 _say(f"error: {ending}")
                 sys.exit(ending.exit_code)
             raise
+
+
+def _check_environment() -> None:
+    """Raise InputError for what numba would end with a traceback at."""
+    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
+    if not threads.isdecimal() or int(threads) < 1:
+        problem = f"{threads!r} is no number of threads"
+        raise InputError("NUMBA_NUM_THREADS", problem, "unset it, or give a whole number of at least 1")
 
 
 def _is_interrupt(ending: BaseException) -> bool:

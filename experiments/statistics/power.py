@@ -109,9 +109,14 @@ def worlds_needed(
     if not 0 < power < 1:
         raise ValueError(f"power must be between 0 and 1, is {power:g}")
 
-    def at(worlds: int) -> Power:
+    def at(worlds: int, experiments: int = experiments) -> Power:
         return power_of(p0, pr, ratio, replace(design, worlds=worlds), experiments, seed)
 
+    units = design.sequences * design.replicates * MOST_WORLDS
+    # Without an effect the power is the level; without a failure, and so few are expected, nothing is found.
+    if (ratio == 1 and power > LEVEL) or ratio * math.prod((p0, *pr)) * units < power:
+        at(_LEAST_WORLDS, 1)  # checks the arguments
+        return None
     low, high = _LEAST_WORLDS, _LEAST_WORLDS
     while (found := at(high)).independence < power:
         if high == MOST_WORLDS:

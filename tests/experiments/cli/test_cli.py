@@ -162,3 +162,14 @@ def test_bench_without_a_command_measures_the_tracker(dslab, monkeypatch, synthe
     code, out, _ = dslab("bench", *arguments, "--json")
     assert code == 0
     assert json.loads(out.splitlines()[-1])["system"] == "base"
+
+
+@pytest.mark.parametrize("threads", ["0", "-1", "many"])
+def test_a_number_of_threads_that_is_none_is_one_line(dslab, monkeypatch, threads):
+    monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
+    code, out, err = dslab("doctor")
+    assert (code, out, err.count("\n")) == (
+        2,
+        "",
+        1,
+    ) and f"NUMBA_NUM_THREADS: '{threads}' is no number" in err

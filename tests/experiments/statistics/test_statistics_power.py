@@ -37,3 +37,12 @@ def test_more_than_can_be_had_is_none_and_the_impossible_is_refused():
             power_of(p0, pr, ratio, Design(50), experiments=2)
     with pytest.raises(ValueError, match="power"):
         worlds_needed(0.3, (0.3,), 2.0, 1.0, Design(0))
+
+
+@pytest.mark.parametrize(("p0", "ratio"), [(1e-9, 2.0), (0.25, 1.0)])
+def test_what_no_number_of_worlds_can_show_is_said_at_once(p0, ratio, monkeypatch):
+    monkeypatch.setattr(
+        "dslab.experiments.statistics.power.independence", lambda *_: pytest.fail("simulated")
+    )
+    monkeypatch.setattr("dslab.experiments.statistics.power.power_of", lambda *_: None)
+    assert worlds_needed(p0, (0.2, 0.2), ratio, 0.8, Design(10)) is None
