@@ -27,4 +27,6 @@ def render_page(templates: Path, filters: dict[str, Callable[..., Any]], **value
     environment.filters |= filters
     own = templates / "style.css"
     style = (own if own.exists() else _STYLE).read_text(encoding="utf-8")
-    return environment.get_template("page.html.j2").render(values, style=style)
+    text = environment.get_template("page.html.j2").render(values, style=style)
+    # Names of files may be other bytes.
+    return text.encode("utf-8", "backslashreplace").decode()

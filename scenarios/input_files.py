@@ -51,6 +51,11 @@ def is_folder(path: str | Path) -> bool:
     return os.path.isdir(path)
 
 
+def is_text(name: str) -> bool:
+    """Return True if a name is Unicode: those of files may be other bytes, kept as surrogates."""
+    return name.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in name)
+
+
 def file_names(folder: Path) -> list[str]:
     """Names in a folder, sorted. Raises InputError if it cannot be listed."""
     try:

@@ -20,6 +20,7 @@ from dslab.experiments.batch.rows import ERROR
 from dslab.experiments.comparison.left_runs import read_run
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
+from dslab.experiments.pictures.labels import label
 from dslab.experiments.report.plots.draw import rendered
 from dslab.experiments.report.plots.style import (
     BLUE,
@@ -93,10 +94,10 @@ def draw_initialisation(rows: pd.DataFrame) -> Figure | None:
                     bar.set(fill=False, hatch="///", edgecolor=_colour(place))
         _add_seconds(axes, own)
         axes.set_xticks(range(len(trials)), [str(trial) for trial in trials], fontsize=8)
-        axes.set_title(short_name(source), fontsize=9, loc="left")
+        axes.set_title(label(short_name(source)), fontsize=9, loc="left")
         axes.set_ylabel("frames", fontsize=9)
     panels[-1].set_xlabel("trial", fontsize=9)
-    handles = [Patch(color=_colour(i), label=system) for i, system in enumerate(systems)]
+    handles = [Patch(color=_colour(i), label=label(system)) for i, system in enumerate(systems)]
     handles.append(Patch(fill=False, hatch="///", label="no map"))
     return _marked(figure, handles, "Fig. 6, initialization")
 
@@ -164,11 +165,11 @@ def draw_end_errors(rows: pd.DataFrame) -> Figure | None:
         image = axes.imshow(
             shown, norm=norm, cmap="viridis", origin="lower", aspect="auto", interpolation="nearest"
         )
-        axes.set_title(system, fontsize=9, loc="left")
+        axes.set_title(label(system), fontsize=9, loc="left")
         axes.set_yticks(range(len(trials)), [str(trial) for trial in trials], fontsize=7)
         axes.set_ylabel("trial", fontsize=9)
         axes.grid(visible=False)
-    names = [short_name(source) for source in sources]
+    names = [label(short_name(source)) for source in sources]
     panels[-1].set_xticks(range(len(sources)), names, rotation=90 if len(sources) > 6 else 0, fontsize=8)
     figure.colorbar(image, ax=list(panels), label="between start and end (m)")
     handles = [Patch(color=_FAILED, label="no intact map"), Patch(color=_UNKNOWN, label="not known")]
@@ -201,7 +202,7 @@ def _panels(
     for (y, source), (x, system) in product(enumerate(sources), enumerate(systems)):
         own = rows[(rows.source == source) & (rows.system == system)].sort_values("run")
         names = [*([system] if y == 0 else []), *([short_name(source)] if x == 0 else [])]
-        grid[y, x].set_title("\n".join(names), fontsize=9, loc="left")
+        grid[y, x].set_title("\n".join(map(label, names)), fontsize=9, loc="left")
         panels.append((grid[y, x], own))
     return figure, panels
 

@@ -25,7 +25,11 @@ _PAPER_SYSTEMS = {
     "Dual-SLAM⁺": "dual_plus_m",
     "LDSO": "ldso_m",
 }
-_TEX = {NO_MAP: r"$\otimes$", UNSTABLE: r"$\cap$", "⁺": "$^+$", "_": r"\_", "%": r"\%"}
+_TEX = str.maketrans(
+    {NO_MAP: r"$\otimes$", UNSTABLE: r"$\cap$", "⁺": "$^+$"}
+    | {sign: rf"\{sign}" for sign in "&#{}_%$"}
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+)
 
 
 def table_1(rows: pd.DataFrame) -> pd.DataFrame:
@@ -127,15 +131,9 @@ def write_tables(rows: pd.DataFrame, folder: Path) -> dict[str, pd.DataFrame]:
 def latex(table: pd.DataFrame) -> str:
     """A table as a LaTeX ``tabular``, to be put between the rules of one's own."""
     rows = [list(map(str, table.columns)), *table.astype(str).to_numpy().tolist()]
-    lines = [" & ".join(map(_escaped, row)) + r" \\" for row in rows]
+    lines = [" & ".join(word.translate(_TEX) for word in row) + r" \\" for row in rows]
     lines.insert(1, r"\hline")
     return "\n".join([rf"\begin{{tabular}}{{l{'r' * (len(rows[0]) - 1)}}}", *lines, r"\end{tabular}", ""])
-
-
-def _escaped(text: str) -> str:
-    for sign, tex in _TEX.items():
-        text = text.replace(sign, tex)
-    return text
 
 
 def _rmse(trials: pd.DataFrame) -> str:

@@ -11,7 +11,7 @@ from dslab.experiments.runs.execution import Mode, SystemFactory
 from dslab.experiments.runs.slam_settings import factory_of, parse_slam_settings
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import all_faults
-from dslab.scenarios.input_files import is_folder
+from dslab.scenarios.input_files import is_folder, is_text
 from dslab.scenarios.segment_text import parse_segment
 from dslab.scenarios.segments import SegmentBase
 from dslab.scenarios.strict import Strict
@@ -104,7 +104,9 @@ def _sources(file: YamlFile, spec: BatchSpec) -> list[str]:
     found: list[str] = []
     for place, text in enumerate(spec.sequences):
         where = file.where(("sequences", place))
-        found += _matches(where, text) if _PATTERN.search(text) else [_checked(where, text)]
+        # The folder of this very name comes first: one may be called [x].
+        is_pattern = _PATTERN.search(text) and not is_folder(text)
+        found += _matches(where, text) if is_pattern else [_checked(where, text)]
     double = next((source for source in found if found.count(source) > 1), None)
     if double is not None:
         raise InputError(file.where(("sequences",)), f"{double} is named twice", "name each once")
@@ -121,6 +123,8 @@ def _matches(where: str, pattern: str) -> list[str]:
             detect_form(Path(name))
         except InputError:
             continue
+        if not is_text(name):
+            raise InputError(where, f"the name of {name!r} is not UTF-8", "rename that folder")
         found.append(name)
     if not found:
         raise InputError(where, f"{pattern!r} fits no sequence folder", "correct the pattern")

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dslab.experiments.evaluation.robustness import LEAST, MOST
+from dslab.experiments.pictures.labels import label
 from dslab.experiments.pictures.palette import TRUTH, system_color
 from dslab.experiments.report.plots.style import NARROW_IN, legend_above, log_ticks, new_figure, percent_axis
 
@@ -68,9 +69,9 @@ def draw_stages(sequence: dict[str, Any], width_in: float) -> Figure:
     shades = np.linspace(0.25, 0.85, max(2, len(stages)))
     for stage, shade in zip(stages, shades, strict=False):
         times = np.array([system["stages"].get(stage) or 0.0 for system in systems])
-        axes.barh(rows, times, left=left, color=str(shade), edgecolor="white", label=stage)
+        axes.barh(rows, times, left=left, color=str(shade), edgecolor="white", label=label(stage))
         left += times
-    axes.set_yticks(rows, [system["name"] for system in systems])
+    axes.set_yticks(rows, [label(system["name"]) for system in systems])
     axes.invert_yaxis()
     axes.set_xlabel("CPU, ms per frame")
     legend_above(figure, axes.get_legend_handles_labels()[0], 5, width_in)
@@ -92,6 +93,6 @@ def _lines(sequence: dict[str, Any]) -> list[tuple[dict[str, Any], str, str]]:
 
 def _legend(sequence: dict[str, Any]) -> list[Line2D]:
     return [
-        Line2D([], [], color=colour, linestyle=line, label=system["name"])
+        Line2D([], [], color=colour, linestyle=line, label=label(system["name"]))
         for system, line, colour in _lines(sequence)
     ]

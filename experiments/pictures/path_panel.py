@@ -17,7 +17,7 @@ class DrawnRun:
     """A run with all that its picture shows of it.
 
     Attributes:
-        name: of the system.
+        name: of the system, as a label.
         color: of its path and curve.
         scene: its maps, aligned with the truth for display.
         outcomes: of its breakages.

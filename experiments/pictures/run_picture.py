@@ -13,6 +13,7 @@ from dslab.experiments.evaluation.breakages import breakage_outcomes
 from dslab.experiments.evaluation.frame_outcomes import frame_outcomes
 from dslab.experiments.evaluation.scene import lay_out
 from dslab.experiments.pictures import palette
+from dslab.experiments.pictures.labels import label
 from dslab.experiments.pictures.path_panel import DrawnRun, draw_path
 from dslab.experiments.pictures.time_panel import draw_inliers, draw_lanes
 from dslab.experiments.runs.execution import RunRecord
@@ -53,7 +54,7 @@ def runs_figure(records: Mapping[str, RunRecord]) -> Figure:
     inliers = figure.add_subplot(rows[2])
     draw_inliers(inliers, runs, colors)
     draw_lanes(figure.add_subplot(rows[3], sharex=inliers), runs, colors)
-    _draw_legend(figure, list(records), colors)
+    _draw_legend(figure, [run.name for run in runs], colors)
     return figure
 
 
@@ -61,7 +62,8 @@ def _drawn(name: str, record: RunRecord, place: int) -> DrawnRun:
     sequence = record.sequence
     outcomes = breakage_outcomes(record.events, sequence.segments, list(sequence.stamps_s))
     frames = frame_outcomes(record)
-    return DrawnRun(name, palette.system_color(name, place), record, lay_out(record), outcomes, frames)
+    color = palette.system_color(name, place)
+    return DrawnRun(label(name), color, record, lay_out(record), outcomes, frames)
 
 
 def _sample_frames(sequence: Sequence) -> list[int]:
@@ -90,9 +92,9 @@ def _draw_legend(figure: Figure, systems: list[str], colors: dict[str, str]) -> 
     """Draw one legend for all axes below them: truth, systems, other paths and marks, segments."""
     found = {}
     for axes in figure.axes:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            found.setdefault(label, handle)
-    first = {label: found[label] for label in ("truth", *systems) if label in found}
+        for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(text, handle)
+    first = {text: found[text] for text in ("truth", *systems) if text in found}
     found = first | found | {describe_kind(kind): Patch(color=color) for kind, color in colors.items()}
     if found:
         columns = min(len(found), 8)

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from scipy.stats import ks_2samp
 
 from dslab.experiments.evaluation.summary import summarise
+from dslab.experiments.pictures.labels import label
 from dslab.experiments.realism.measures import MEASURES, frame_statistics, live_residuals, map_statistics
 from dslab.experiments.runs.execution import SlamSystem, execute
 from dslab.experiments.runs.files import plain, to_json
@@ -140,19 +141,22 @@ def _draw(figures: dict[str, dict[str, Any]], samples: dict[str, Samples]) -> Fi
     rows = -(-(len(MEASURES) + 1) // _COLUMNS)
     figure = Figure(figsize=(4.2 * _COLUMNS, 2.6 * rows), dpi=110, layout="constrained")
     *panels, last = figure.subplots(rows, _COLUMNS).ravel()[: len(MEASURES) + 1]
-    for axes, (name, (label, is_log)) in zip(panels, MEASURES.items(), strict=True):
+    for axes, (name, (measure, is_log)) in zip(panels, MEASURES.items(), strict=True):
         for place, own in enumerate(samples.values()):
             if len(own[name]):
                 axes.ecdf(own[name], color=f"C{place}")
         every = np.concatenate([own[name] for own in samples.values()])
-        axes.set(xlabel=label, ylim=(0, 1), xscale="log" if is_log else "linear")
+        axes.set(xlabel=measure, ylim=(0, 1), xscale="log" if is_log else "linear")
         axes.xaxis.set_minor_formatter("")
         if len(every) and np.ptp(ends := np.quantile(every, _SHOWN)) > 0:
             axes.set_xlim(ends)
     for place, (source, own) in enumerate(figures.items()):
         scale = np.array(own["scale_along"] or [], float)
         last.plot(
-            100 * (np.arange(len(scale)) + 0.5) / max(len(scale), 1), scale, f"C{place}.-", label=source
+            100 * (np.arange(len(scale)) + 0.5) / max(len(scale), 1),
+            scale,
+            f"C{place}.-",
+            label=label(source),
         )
     last.set(xlabel="along the true path, per cent", ylabel="true over estimated length")
     figure.legend(loc="outside upper center", ncols=2)

@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from dslab.experiments.pictures.labels import label
+
 BLUE, ORANGE, GREEN, PURPLE, SKY = "#0072B2", "#D55E00", "#00795A", "#A8447F", "#56B4E9"
 GREY, PALE = "#6b7177", "#b4bcc4"
 THREAD_COLOURS = (ORANGE, GREEN, PURPLE, SKY)
@@ -111,7 +113,7 @@ def log_ticks(axis: Any, low: float, high: float) -> None:
 
 def wrapped(text: str, width_in: float) -> str:
     """Break a name of a row or a panel into lines that leave room for the plot."""
-    return "\n".join(textwrap.wrap(text, 34 if width_in > NARROW_IN else 16)[:3])
+    return label("\n".join(textwrap.wrap(text, 34 if width_in > NARROW_IN else 16)[:3]))
 
 
 def legend_above(figure: Figure, handles: Sequence[Any], columns: int, width_in: float) -> None:
@@ -120,6 +122,6 @@ def legend_above(figure: Figure, handles: Sequence[Any], columns: int, width_in:
     figure.legend(handles=handles, loc="outside upper left", ncols=columns, fontsize=9)
 
 
-def legend_mark(colour: str, label: str, shape: str = "o") -> Line2D:
+def legend_mark(colour: str, name: str, shape: str = "o") -> Line2D:
     """Entry of a legend for points with error bars."""
-    return Line2D([], [], color=colour, marker=shape, linewidth=1.4, label=label)
+    return Line2D([], [], color=colour, marker=shape, linewidth=1.4, label=label(name))

@@ -377,3 +377,13 @@ def test_a_file_can_be_read_with_its_patterns(tmp_path, folder):
     (tmp_path / "batch.yaml").write_text(f"sequences: ['{tmp_path}/dr*', clean-room]\nsystems: [base]\n")
     spec, sources = read_batch(tmp_path / "batch.yaml")
     assert sources == [str(folder), "clean-room"] and spec.runs == 10
+
+
+def test_a_folder_may_be_called_as_a_pattern_but_a_name_is_text(tmp_path, folder):
+    (tmp_path / "batch.yaml").write_text(f"sequences: ['{tmp_path}/[x]']\nsystems: [base]\nruns: 1\n")
+    folder.rename(tmp_path / "[x]")
+    assert read_batch(tmp_path / "batch.yaml")[1] == [f"{tmp_path}/[x]"]
+    os.rename(tmp_path / "[x]", os.fsencode(tmp_path) + b"/drive\xff")
+    (tmp_path / "batch.yaml").write_text(f"sequences: ['{tmp_path}/dr*']\nsystems: [base]\nruns: 1\n")
+    with pytest.raises(InputError, match="not UTF-8; rename"):
+        read_batch(tmp_path / "batch.yaml")

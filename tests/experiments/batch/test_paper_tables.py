@@ -2,7 +2,15 @@
 
 import pandas as pd
 
-from dslab.experiments.batch.paper_tables import NO_MAP, UNSTABLE, table_1, table_2, table_3, write_tables
+from dslab.experiments.batch.paper_tables import (
+    NO_MAP,
+    UNSTABLE,
+    latex,
+    table_1,
+    table_2,
+    table_3,
+    write_tables,
+)
 
 
 def trial(source, system, ate_m, intact, needed=0, first=0, later=0, took_s=None):
@@ -64,3 +72,8 @@ def test_tables_are_written_as_csv_and_latex(tmp_path):
     assert text.startswith(r"\begin{tabular}{lrrrrrr}") and text.count(r"\\") == 5
     assert r"$\otimes$" in text and r"$\cap$" in text and NO_MAP not in text
     assert pd.read_csv(tmp_path / "tables" / "table_2.csv").shape[0] == 6
+
+
+def test_a_name_is_no_command_of_latex():
+    text = latex(pd.DataFrame({"a": [r"x & 50% #1 $_{y}^2$ ~\z"]}))
+    assert r"x \& 50\% \#1 \$\_\{y\}\textasciicircum{}2\$ \textasciitilde{}\textbackslash{}z \\" "\n" in text

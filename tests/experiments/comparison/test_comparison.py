@@ -1,6 +1,8 @@
 """Finished runs beside each other: known scores, intervals, a page, and what is no run."""
 
 import json
+import os
+import shutil
 
 import numpy as np
 import pytest
@@ -83,6 +85,16 @@ def test_runs_stand_side_by_side(runs, tmp_path):
     assert json.loads((tmp_path / "page" / FIGURES_FILE).read_text()) == content
     text = (tmp_path / "page" / PAGE_FILE).read_text()
     assert text.count("<figure>") == 4 and "<script" not in text and sequence["name"] in text
+
+
+def test_any_name_stands_on_the_page(runs, tmp_path):
+    shutil.copytree(runs / "a", tmp_path / "a")
+    named = json.loads((runs / "a" / "summary.json").read_text())
+    named |= {"sequence": os.fsdecode(b"\xff"), "system": "$a^{$"}
+    (tmp_path / "a" / "summary.json").write_text(json.dumps(named))
+    compare_runs([tmp_path / "a"], tmp_path / "page")
+    text = (tmp_path / "page" / PAGE_FILE).read_text()
+    assert r"\udcff" in text and "$a^{$" in text
 
 
 def test_what_the_audit_found_is_said_as_after_the_run(runs, tmp_path, dslab):

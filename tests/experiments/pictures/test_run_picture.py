@@ -1,5 +1,6 @@
 """The picture of runs shows every run, and nothing in it lies on anything else."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -73,3 +74,14 @@ def test_without_truth_the_breakage_is_marked_on_the_path_of_the_largest_map():
     assert points[159] == pytest.approx(np.ravel(mark.get_data()))
     assert not any(line.get_label() == "truth" for axes in figure.axes for line in axes.lines)
     assert any("in one of 2 maps" in axes.get_title() for axes in figure.axes)
+
+
+@pytest.mark.filterwarnings("error")
+def test_any_name_is_drawn_as_it_is():
+    """What matplotlib takes for mathematics or leaves out of legends, and bytes that are no UTF-8."""
+    (record,) = runs("no truth").values()
+    names = ["$a^{$", "_own", os.fsdecode(b"\xff")]
+    figure = runs_figure(dict.fromkeys(names, record))
+    figure.draw_without_rendering()
+    drawn = {text.get_text() for legend in figure.legends for text in legend.get_texts()}
+    assert {r"\$a^{\$", "\u200b_own", r"\udcff"} <= drawn
