@@ -22,6 +22,8 @@ def _default(value: object) -> str:
     """A default as written in YAML; nothing for one that is made by the model or left out."""
     if isinstance(value, bool):
         return f"default `{value}`".lower()
+    if value and isinstance(value, list) and all(isinstance(one, str | int | float) for one in value):
+        return f"default `[{', '.join(map(str, value))}]`"
     return f"default `{value}`" if isinstance(value, str | int | float) and value != "" else ""
 
 

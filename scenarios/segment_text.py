@@ -1,5 +1,9 @@
-"""Segments on a command line: ``low_light:start_s=2,duration_s=1,illumination=0.1``."""
+"""Segments on a command line: ``low_light:start_s=2,duration_s=1,illumination=0.1``.
 
+The value of a field that holds several is a list: ``tint:start_s=2,duration_s=1,gains=[1,0.9,0.8]``.
+"""
+
+import re
 from typing import Any
 
 from pydantic import ValidationError
@@ -8,9 +12,12 @@ from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import guess, problem_and_remedy
 from dslab.scenarios.segments import SEGMENT_KINDS, SegmentBase
 
+# Commas within a list part its values.
+_PARTS = re.compile(r",(?![^\[\]]*\])")
+
 
 def parse_segment(text: str) -> SegmentBase:
-    """Parse a segment from ``kind:key=value,key=value``.
+    """Parse a segment from ``kind:key=value,key=[value,value]``.
 
     Raises:
         InputError: the kind or a key is unknown, a key is missing or given twice, a value is out of range.
@@ -26,17 +33,24 @@ def parse_segment(text: str) -> SegmentBase:
         )
     model = SEGMENT_KINDS[kind]
     values: dict[str, Any] = {"kind": kind}
-    for part in filter(None, (part.strip() for part in rest.split(","))):
+    for part in filter(None, (part.strip() for part in _PARTS.split(rest))):
         key, equals, value = (piece.strip() for piece in part.partition("="))
         if not equals or not value:
             raise InputError(f"segment {text!r}: {part}", "is no key=value", "write for example start_s=2")
         if key in values:
             raise InputError(f"segment {text!r}: {key}", "is given twice", "keep one of them")
-        values[key] = value
+        values[key] = _value(value)
     try:
         return model.model_validate(values)
     except ValidationError as error:
         raise _invalid(text, model, error) from None
+
+
+def _value(text: str) -> str | list[str]:
+    """A value, or those of a list."""
+    if not (text.startswith("[") and text.endswith("]")):
+        return text
+    return [word.strip() for word in text[1:-1].split(",")] if text[1:-1].strip() else []
 
 
 def _invalid(text: str, model: type[SegmentBase], error: ValidationError) -> InputError:

@@ -56,7 +56,8 @@ def degrade_command(
     segment: Annotated[
         list[str],
         typer.Option(
-            help="kind:key=value,...; repeatable. Times count from the first frame.", show_default=False
+            help="kind:key=value,..., a list as key=[1,2]; repeatable. Times count from the first frame.",
+            show_default=False,
         ),
     ],
     out_dir: FolderOption,

@@ -1,10 +1,13 @@
 """Segments on a command line, and their models."""
 
+from typing import Literal
+
 import pytest
 
+from dslab.scenarios.describe_fields import described_fields
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.segment_text import parse_segment
-from dslab.scenarios.segments import SEGMENT_KINDS, Jpeg, LowLight
+from dslab.scenarios.segments import SEGMENT_KINDS, ImageSegment, Jpeg, LowLight
 
 
 def test_a_text_gives_the_segment_with_its_defaults():
@@ -48,3 +51,20 @@ def test_two_ramps_fit_the_segment():
     Jpeg(kind="jpeg", start_s=0, duration_s=1, ramp_s=0.5, quality=5)
     with pytest.raises(ValueError, match=r"ramp_s = 0\.5"):
         Jpeg(kind="jpeg", start_s=0, duration_s=1, ramp_s=0.51, quality=5)
+
+
+def test_a_field_may_hold_several_values(monkeypatch):
+    class Tint(ImageSegment):
+        kind: Literal["tint"]
+        gains: tuple[float, float, float] = (1.0, 0.9, 0.8)
+        names: tuple[str, ...] = ()
+
+    monkeypatch.setattr("dslab.scenarios.segment_text.SEGMENT_KINDS", {"tint": Tint})
+    segment = parse_segment("tint:start_s=1, gains = [1, .5,2],duration_s=2,names=[a]")
+    assert isinstance(segment, Tint) and segment.gains == (1, 0.5, 2) and segment.names == ("a",)
+    assert parse_segment("tint:start_s=1,duration_s=2,names=[]") == Tint(kind="tint", start_s=1, duration_s=2)
+    for wrong in ("[1,2]", "[1,2,x]", "[1,2,3", "1"):
+        with pytest.raises(InputError, match="gains"):
+            parse_segment(f"tint:start_s=1,duration_s=2,gains={wrong}")
+    fields = {name: span for name, span, _ in described_fields(Tint)}
+    assert fields["gains"] == "default `[1.0, 0.9, 0.8]`"
