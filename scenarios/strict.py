@@ -1,15 +1,35 @@
 """The base of every part of a spec."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 
 class Strict(BaseModel):
-    """Base of every part of a spec: frozen, unknown keys are errors."""
+    """Base of every part of a spec: frozen, unknown keys are errors, in copies too."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with other fields, which are checked as those of a file are.
+
+        Raises:
+            InputError: a field is unknown, or the fields are not valid together; with every fault.
+        """
+        if update:
+            fields = {name: getattr(self, name) for name in type(self).model_fields}
+            try:
+                checked = type(self).model_validate(fields | dict(update))
+            except ValidationError as error:
+                from dslab.scenarios.faults import all_faults
+
+                raise all_faults(error, self._place, root=type(self)) from None
+            update = {name: getattr(checked, name) for name in update}
+        return super().model_copy(update=update, deep=deep)
+
+    def _place(self, location: tuple[str | int, ...]) -> str:
+        return ".".join([type(self).__name__, *map(str, location)])
 
 
 def with_defaults_of(data: Any, key: str, defaults: Mapping[str, Mapping[str, Any]]) -> Any:

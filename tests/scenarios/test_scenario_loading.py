@@ -144,3 +144,20 @@ def test_a_segment_without_duration_lasts_to_the_end_of_the_sequence(tmp_path):
     assert load_scenario(write(tmp_path, text.replace("20", "12"))).segments[1].duration_s == 4
     assert "ends after the sequence" in fault(tmp_path, text.replace("start_s: 8", "start_s: 21"))
     assert "'soon' is not valid" in fault(tmp_path, text.replace("start_s: 8", "start_s: soon"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"duration_s": 4.0}, r"Scenario.segments.0: .*ends after the sequence"),
+        ({"duraton_s": 4.0}, "Scenario.duraton_s: unknown key; use duration_s"),
+        ({"seed": -1}, "Scenario.seed: -1 is not valid"),
+    ],
+)
+def test_a_copy_with_other_fields_is_checked(changes, said):
+    scenario = load_scenario("stressed")
+    with pytest.raises(InputError, match=said):
+        scenario.model_copy(update=changes)
+    copy = scenario.model_copy(update={"duration_s": 40.0})
+    assert copy.duration_s == 40 and copy.segments == scenario.segments
+    assert copy.model_fields_set == scenario.model_fields_set | {"duration_s"}
