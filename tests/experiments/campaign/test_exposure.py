@@ -11,7 +11,11 @@ from dslab.experiments.eq1.spec import load_spec
 def test_a_cell_whose_stress_seldom_acts_is_found_before_it_runs(monkeypatch):
     monkeypatch.setattr(exposure, "DRAWN_WORLDS", 4)
     spec = load_spec("eq1").model_copy(update={"worlds": 4})
-    kept = [d for d in spec.degradations if d.kind in ("low_texture", "fast_rotation")]
+    kept = [
+        d.model_copy(update={"doses": d.doses_of("corridor")})
+        for d in spec.degradations
+        if d.kind in ("low_texture", "fast_rotation")
+    ]
     of_corridor = {"bases": {"corridor": spec.bases["corridor"]}, "degradations": tuple(kept)}
     spec = spec.model_copy(update=of_corridor)
     drawn = {cell.cell: cell for cell in draw_exposure(spec)}
