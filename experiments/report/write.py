@@ -1,5 +1,6 @@
 """Files of a report: report.html, report.json, plots/, and recordings on request."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,11 +11,15 @@ from dslab.experiments.report.content import report_content
 from dslab.experiments.report.page import report_html
 from dslab.experiments.report.plots.draw import draw_plots
 from dslab.experiments.report.recordings import add_recordings
-from dslab.experiments.runs.files import to_json
+from dslab.experiments.runs.files import plain, to_json
 from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_given, read_json
 from dslab.sim.io.folders import new_directory, unwritable, write_file
 
 PAGE, FIGURES, PLOTS = "report.html", "report.json", "plots"
+_WRITTEN_BY = ("versions", "report_commit")
+_ROUNDING = 1e-9
+"""Far above what sums of float64 lose, far below what a page shows."""
 
 
 def write_report(
@@ -61,6 +66,31 @@ def write_files(report: dict[str, Any], folder: Path) -> Path:
         for plot in plots.values():
             (place / f"{plot.name}.svg").write_bytes(plot.svg)
             (place / f"{plot.name}.png").write_bytes(plot.png)
-    for name, text in ((FIGURES, to_json(report, indent=1) + "\n"), (PAGE, page)):
+    texts = {PAGE: page}
+    if not _says_the_same(folder / FIGURES, report):
+        texts[FIGURES] = to_json(report, indent=1) + "\n"
+    for name, text in texts.items():
         write_file(folder / name, partial(Path.write_text, data=text, encoding="utf-8"))
     return folder / PAGE
+
+
+def _says_the_same(path: Path, report: dict[str, Any]) -> bool:
+    """True if a file holds the figures of a report but for rounding and the code that wrote it.
+
+    Published figures are then left as they are: another processor rounds the last digits otherwise.
+    """
+    try:
+        return is_given(path) and _same(read_json(path, dict), plain(report))
+    except InputError:
+        return False
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        names = {*one, *other} - {*_WRITTEN_BY}
+        return all(name in one and name in other and _same(one[name], other[name]) for name in names)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
+    return type(one) is type(other) and one == other

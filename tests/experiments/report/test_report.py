@@ -373,3 +373,17 @@ def test_the_path_of_a_broken_run_ends_at_the_breakage():
     assert known["base"][219] and not known["base"][220:].any() and known["dual"][260:].all()
     for which, where in known.items():
         np.testing.assert_allclose(paths[which][where], truth[where], atol=1e-5)
+
+
+def test_published_figures_stay_unless_a_report_says_something_else(tmp_path, monkeypatch):
+    monkeypatch.setattr("dslab.experiments.report.write.draw_plots", lambda *_: {})
+    monkeypatch.setattr("dslab.experiments.report.write.report_html", lambda *_: "")
+    report = {"share": 0.1, "counts": [1, None], "sources": {"report_commit": "a"}, "versions": {}}
+    write_files(report, tmp_path)
+    before = (tmp_path / "report.json").read_bytes()
+    rounded = {"share": 0.1 + 1e-16, "sources": {"report_commit": "b"}, "versions": {"numpy": "3"}}
+    write_files(report | rounded, tmp_path)
+    assert (tmp_path / "report.json").read_bytes() == before
+    for other in ({"share": 0.1001}, {"counts": [1, 2]}, {"counts": [True, None]}, {"more": None}):
+        write_files(report | other, tmp_path)
+        assert json.loads((tmp_path / "report.json").read_text()) == report | other
