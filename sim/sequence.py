@@ -133,6 +133,8 @@ class Sequence:
         image_names: N file names relative to the folder of the frames; empty without files.
         exposure_s: (N,) float64 positive shutter times that the brightness of frames is proportional to; None
             where they are not known or it does not follow them, as in rendered frames.
+        stamps_ns: (N,) int64 the stamps in nanoseconds, as read, where float64 seconds do not hold them; None
+            where they do.
     """
 
     name: str
@@ -146,6 +148,7 @@ class Sequence:
     frame_truth: dict[str, np.ndarray] = field(default_factory=dict)
     image_names: tuple[str, ...] = ()
     exposure_s: np.ndarray | None = None
+    stamps_ns: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.stamps_s)
@@ -163,6 +166,7 @@ class Sequence:
             frame_truth={name: column[kept] for name, column in self.frame_truth.items()},
             exposure_s=None if self.exposure_s is None else self.exposure_s[kept],
             image_names=tuple(self.image_names[i] for i in kept) if self.image_names else (),
+            stamps_ns=None if self.stamps_ns is None else self.stamps_ns[kept],
         )
 
     def first(self, time_s: float) -> "Sequence":

@@ -27,7 +27,7 @@ from dslab.scenarios.yaml_file import read_yaml
 from dslab.sim.io.calibration import Fields
 from dslab.sim.io.calibrations import euroc_sensor
 from dslab.sim.io.camera_file import intrinsics_of, read_camera
-from dslab.sim.io.clock import choose_origin_ns, origin_ns, to_ns, to_seconds
+from dslab.sim.io.clock import choose_origin_ns, origin_ns, to_ns, to_seconds, written_ns
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import GrayFolder
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
@@ -228,7 +228,7 @@ def write_euroc(
     progress: Progress | None = None,
 ) -> None:
     """Write a sequence in the EuRoC form. Arguments and errors as of ``write_sequence``."""
-    stamps = to_ns(sequence.stamps_s, origin_ns(sequence))
+    stamps = written_ns(sequence)
     T_cam_body = imu[0].model.T_cam_imu if imu else np.eye(4)
     with new_directory(directory) as folder:
         camera_dir = folder / CAMERA_DIR

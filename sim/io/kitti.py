@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import file_names, is_folder, is_given
 from dslab.sim.io.calibration_tables import KITTI_FPS, kitti_projection
-from dslab.sim.io.camera_file import intrinsics_of, other_size
+from dslab.sim.io.camera_file import check_camera, intrinsics_of, other_size
+from dslab.sim.io.clock import held_stamps, written_seconds
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
@@ -32,8 +33,8 @@ from dslab.sim.io.text import (
     check_words,
     read_rows,
     stamped_numbers,
+    to_decimal,
     to_numbers,
-    to_stamp,
 )
 from dslab.sim.io.truth import check_position, is_rotation
 from dslab.sim.sensors.camera import Intrinsics
@@ -65,13 +66,15 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
         raise InputError(
             sequence.name, f"frame {lacking} has no pose, KITTI's form needs one for each", "use tum or euroc"
         )
-    camera = sequence.camera
+    camera, stamps = sequence.camera, written_seconds(sequence)
+    # The rate of the form is that of the stamps.
+    check_camera(Path(sequence.name), replace(camera, fps=_rate(np.array(stamps, float))))
     projection = np.column_stack([camera.K, np.zeros(3)])
     with new_directory(directory) as folder:
         (folder / IMAGES_DIR).mkdir()
         paths = [folder / IMAGES_DIR / f"{frame:06d}.png" for frame in range(len(sequence))]
         write_images(sequence.frames, paths, "writing", progress)
-        (folder / TIMES_FILE).write_text("".join(f"{stamp_s:.9f}\n" for stamp_s in sequence.stamps_s))
+        (folder / TIMES_FILE).write_text("".join(f"{stamp}\n" for stamp in stamps))
         # Shortest decimals that give the same numbers.
         (folder / CALIBRATION_FILE).write_text(f"P0: {' '.join(repr(float(v)) for v in projection.flat)}\n")
         if poses is not None:
@@ -86,8 +89,11 @@ def load_kitti(folder: Path) -> Sequence:
     images = image_paths(folder)
     raw = _images_dir(folder).name == "data"
     times = _images_dir(folder).parent / _RAW_TIMES if raw else folder / TIMES_FILE
-    if is_given(times):
-        stamps_s = _read_raw_times(times) if raw else _read_times(times)
+    stamps_ns = None
+    if is_given(times) and raw:
+        stamps_s = _read_raw_times(times)
+    elif is_given(times):
+        stamps_s, stamps_ns = _read_times(times)
     else:
         stamps_s = np.arange(len(images)) / KITTI_FPS
         notice(str(folder), f"has no {times.name}: frames count as taken {KITTI_FPS:g} times a second")
@@ -98,16 +104,21 @@ def load_kitti(folder: Path) -> Sequence:
         )
     check_present(images, times.name)
     shape = image_shape(images[0])
-    # Stamps are printed to a nanosecond: further digits of the rate are rounding errors.
-    fps = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else KITTI_FPS
     return Sequence(
-        camera=_read_calibration(folder, raw, shape, fps),
+        camera=_read_calibration(folder, raw, shape, _rate(stamps_s)),
         stamps_s=stamps_s,
         frames=GrayFolder(images, shape, f"{images[0].parent.name}/{images[0].name}"),
         T_world_cam=_read_poses(folder, images),
         depths=None,
+        stamps_ns=stamps_ns,
         **read_sidecars(folder, len(stamps_s)),
     )
+
+
+def _rate(stamps_s: np.ndarray) -> float:
+    """Frames per second, as the stamps tell."""
+    # Stamps are printed to a nanosecond: further digits of the rate are rounding errors.
+    return round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else KITTI_FPS
 
 
 def _images_dir(folder: Path) -> Path:
@@ -128,11 +139,11 @@ def image_paths(folder: Path) -> list[Path]:
     return images
 
 
-def _read_times(path: Path) -> np.ndarray:
+def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     rows = read_rows(path, "give a folder with one stamp per line and frame")
-    stamps, _ = stamped_numbers(rows, ["stamp"], to_stamp)
+    stamps, _ = stamped_numbers(rows, ["stamp"], to_decimal)
     check_frames(path, stamps)
-    return np.array(stamps)
+    return held_stamps(path, stamps)
 
 
 def _read_raw_times(path: Path) -> np.ndarray:

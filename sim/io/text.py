@@ -5,6 +5,7 @@ import os
 import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sized
+from decimal import Decimal
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +14,7 @@ import numpy as np
 from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import TABLE_BYTES, read_text
 
-StampT = TypeVar("StampT", int, float)
+StampT = TypeVar("StampT", int, float, Decimal)
 
 _MOST_ROWS, _LONGEST_ROW = 4_000_000, 100_000
 # Two thousand years: more are no seconds, but micro- or nanoseconds.
@@ -89,6 +90,12 @@ def to_stamp(where: str, word: str) -> float:
     if abs(stamp_s) > _MOST_STAMP_S:
         raise InputError(f"{where}: stamp", f"{word} is no time in seconds", "give stamps in seconds")
     return stamp_s
+
+
+def to_decimal(where: str, word: str) -> Decimal:
+    """A stamp in seconds with all of its digits. Raises InputError for any other word."""
+    to_stamp(where, word)
+    return Decimal(word)
 
 
 def to_nanoseconds(where: str, word: str) -> int:

@@ -57,13 +57,17 @@ def _pose_numbers(where: str, words: list[str]) -> list[float]:
     return to_numbers(where, list(known.values()), list(known))
 
 
-def tum_poses_text(stamps_s: np.ndarray, T_world_cam: np.ndarray) -> str:
-    """Poses in TUM's order; frames without a pose are left out."""
+def tum_poses_text(stamps_s: np.ndarray, T_world_cam: np.ndarray, written: list[str] | None = None) -> str:
+    """Poses in TUM's order, with stamps as written if given; frames without a pose are left out."""
+    written = [f"{stamp_s:.9f}" for stamp_s in stamps_s] if written is None else written
     known = np.isfinite(T_world_cam).all(axis=(1, 2))
     quat_xyzw = Rotation.from_matrix(T_world_cam[known, :3, :3]).as_quat(canonical=True)
-    rows = np.column_stack([stamps_s[known], T_world_cam[known, :3, 3], quat_xyzw])
+    rows = np.column_stack([T_world_cam[known, :3, 3], quat_xyzw])
     lines = ["# stamp_s tx ty tz qx qy qz qw, camera (x right, y down, z forward) to world, metres"]
-    lines += [" ".join(f"{value:.9f}" for value in row) for row in rows]
+    lines += [
+        " ".join([written[frame], *(f"{value:.9f}" for value in row)])
+        for frame, row in zip(np.flatnonzero(known), rows, strict=True)
+    ]
     return "\n".join(lines) + "\n"
 
 

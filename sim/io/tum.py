@@ -8,10 +8,11 @@ from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given
 from dslab.sim.io import layout
 from dslab.sim.io.camera_file import read_camera, write_camera
+from dslab.sim.io.clock import held_stamps, written_seconds
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import DepthFolder, GrayFolder
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
-from dslab.sim.io.text import check_present, read_list, to_stamp
+from dslab.sim.io.text import check_present, read_list, to_decimal
 from dslab.sim.io.truth import half_interval_s, nearest, read_tum_poses, tum_poses_text
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import FrameSource, Sequence
@@ -25,8 +26,8 @@ def load_tum(folder: Path) -> Sequence:
     image has depth 0 (unknown) everywhere.
     """
     camera = read_camera(folder / layout.CAMERA_FILE)
-    stamps_s, images = _read_list(folder / layout.FRAMES_FILE)
-    _check_unit(folder / layout.FRAMES_FILE, stamps_s, camera.fps)
+    stamps_s, stamps_ns, images = _read_list(folder / layout.FRAMES_FILE)
+    _check_unit(f"{folder / layout.FRAMES_FILE}: stamp", stamps_s, camera.fps)
     frames = GrayFolder(images, (camera.height_px, camera.width_px))
     tolerance_s = half_interval_s(stamps_s, camera.fps)
     return Sequence(
@@ -35,25 +36,26 @@ def load_tum(folder: Path) -> Sequence:
         frames=frames,
         T_world_cam=read_tum_poses(folder / layout.TRUTH_FILE, stamps_s, tolerance_s),
         depths=_read_depths(folder / layout.DEPTH_FILE, camera, stamps_s, tolerance_s),
+        stamps_ns=stamps_ns,
         **read_sidecars(folder, len(stamps_s)),
     )
 
 
-def _check_unit(path: Path, stamps_s: np.ndarray, fps: float) -> None:
+def _check_unit(where: str, stamps_s: np.ndarray, fps: float) -> None:
     """Raise InputError where stamps step by a thousand times and more what the frame rate says."""
     step_s = float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 1 / fps
     for unit, per_s in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
         if 0.5 < step_s * fps / per_s < 2:
             problem = f"stamps step by {step_s:g} s, the camera takes {fps:g} images a second"
-            raise InputError(f"{path}: stamp", problem, f"these look like {unit}: divide them by {per_s:.0f}")
+            raise InputError(where, problem, f"these look like {unit}: divide them by {per_s:.0f}")
 
 
-def _read_list(path: Path) -> tuple[np.ndarray, list[Path]]:
-    """Read (N,) stamps and the image paths of a list of frames."""
-    stamps, names = read_list(path, None, to_stamp)
+def _read_list(path: Path) -> tuple[np.ndarray, np.ndarray | None, list[Path]]:
+    """Read the stamps, see ``held_stamps``, and the image paths of a list of frames."""
+    stamps, names = read_list(path, None, to_decimal)
     images = [path.parent / name for name in names]
     check_present(images, path.name)
-    return np.array(stamps), images
+    return *held_stamps(path, stamps), images
 
 
 def _read_depths(
@@ -62,7 +64,7 @@ def _read_depths(
     """The depth image nearest in time to each frame; None without the file."""
     if not is_given(path):
         return None
-    depth_s, images = _read_list(path)
+    depth_s, _, images = _read_list(path)
     best = nearest(depth_s, stamps_s, tolerance_s)
     if (best < 0).all():
         problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
@@ -79,15 +81,17 @@ def write_tum(
 ) -> None:
     """Write a sequence as a TUM-form folder. Arguments and errors as of ``write_sequence``."""
     coded = CodedDepth(sequence) if depth else None
+    _check_unit(sequence.name, sequence.stamps_s, sequence.camera.fps)
+    stamps = written_seconds(sequence)
     with new_directory(directory) as folder:
         write_camera(sequence.camera, folder / layout.CAMERA_FILE)
         if sequence.T_world_cam is not None:
-            text = tum_poses_text(sequence.stamps_s, sequence.T_world_cam)
+            text = tum_poses_text(sequence.stamps_s, sequence.T_world_cam, stamps)
             (folder / layout.TRUTH_FILE).write_text(text)
         write_sidecars(sequence, folder)
-        _write_list(sequence, folder, "rgb", layout.FRAMES_FILE, sequence.frames, progress)
+        _write_list(stamps, folder, "rgb", layout.FRAMES_FILE, sequence.frames, progress)
         if coded:
-            _write_list(sequence, folder, "depth", layout.DEPTH_FILE, coded, progress)
+            _write_list(stamps, folder, "depth", layout.DEPTH_FILE, coded, progress)
 
 
 class CodedDepth:
@@ -107,7 +111,7 @@ class CodedDepth:
 
 
 def _write_list(
-    sequence: Sequence,
+    stamps: list[str],
     folder: Path,
     name: str,
     list_file: str,
@@ -115,7 +119,7 @@ def _write_list(
     progress: Progress | None,
 ) -> None:
     (folder / name).mkdir()
-    paths = [f"{name}/{frame:06d}.png" for frame in range(len(sequence))]
+    paths = [f"{name}/{frame:06d}.png" for frame in range(len(stamps))]
     write_images(images, [folder / path for path in paths], f"writing {name}", progress)
-    lines = [f"{stamp_s:.9f} {path}" for stamp_s, path in zip(sequence.stamps_s, paths, strict=True)]
+    lines = [f"{stamp} {path}" for stamp, path in zip(stamps, paths, strict=True)]
     (folder / list_file).write_text("\n".join(["# stamp_s filename", *lines]) + "\n")

@@ -24,7 +24,7 @@ from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given
 from dslab.scenarios.yaml_file import read_yaml
 from dslab.sim.io.camera_file import check_camera, whole_size
-from dslab.sim.io.clock import choose_origin_ns, origin_ns, to_ns, to_seconds
+from dslab.sim.io.clock import choose_origin_ns, to_seconds, written_ns
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import DepthFolder, GrayFolder
 from dslab.sim.io.layout import DEPTH_PER_M
@@ -192,9 +192,7 @@ def write_vslam_lab(
     Arguments and errors as of ``write_sequence``: the form holds no stamp below 0.
     """
     coded = CodedDepth(sequence) if depth else None
-    stamps = to_ns(sequence.stamps_s, origin_ns(sequence))
-    if stamps[0] < 0:
-        raise InputError(sequence.name, "has stamps below 0, which this form cannot hold", "use tum")
+    stamps = written_ns(sequence)
     names = [f"{frame:06d}.png" for frame in range(len(sequence))]
     columns: dict[str, list] = {
         _STAMP: stamps,
