@@ -11,6 +11,7 @@
 Cremers, "A photometrically calibrated benchmark for monocular visual odometry", 2016.
 """
 
+from decimal import Decimal
 from pathlib import Path
 
 import cv2
@@ -19,6 +20,7 @@ import numpy as np
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import SETTINGS_BYTES, is_folder, is_given
 from dslab.sim.io.camera_file import check_camera
+from dslab.sim.io.clock import held_stamps
 from dslab.sim.io.fov_camera import FovCamera, read_fov_camera
 from dslab.sim.io.images import GrayFolder, GrayZip, numbered_images, read_raw
 from dslab.sim.io.sidecars import check_exposure, read_sidecars
@@ -27,9 +29,9 @@ from dslab.sim.io.text import (
     check_order,
     check_words,
     read_rows,
+    to_decimal,
     to_frame_number,
     to_numbers,
-    to_stamp,
 )
 from dslab.sim.io.truth import half_interval_s, read_tum_poses
 from dslab.sim.sensors.camera import Intrinsics
@@ -49,7 +51,8 @@ def load_tum_mono(folder: Path) -> Sequence:
     Frames are gray levels proportional to the light: the response is inverted, the vignette divided out,
     levels are limited to 255, and the image is rectified. Errors as of ``load_sequence``.
     """
-    stamps_s, exposure_s = _read_times(folder / TIMES_FILE)
+    stamps, exposure_s = _read_times(folder / TIMES_FILE)
+    stamps_s, stamps_ns = held_stamps(folder / TIMES_FILE, stamps)
     fps = 1 / float(np.median(np.diff(stamps_s))) if len(stamps_s) > 1 else 30.0
     lens, camera = read_fov_camera(folder / CAMERA_FILE, fps)
     check_camera(folder / CAMERA_FILE, camera)
@@ -73,6 +76,7 @@ def load_tum_mono(folder: Path) -> Sequence:
         frames=frames,
         T_world_cam=read_tum_poses(folder / TRUTH_FILE, stamps_s, tolerance_s),
         depths=None,
+        stamps_ns=stamps_ns,
         exposure_s=exposure_s if _light_is_known(folder, exposure_s) else None,
         **sidecars,
     )
@@ -119,25 +123,24 @@ class RectifiedFrames:
         return np.clip(np.rint(rectified), 0, 255).astype(np.uint8)
 
 
-def _read_times(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Read (N,) stamps, and (N,) exposures in seconds if the lines have them."""
-    rows: list[list[float]] = []
+def _read_times(path: Path) -> tuple[list[Decimal], np.ndarray | None]:
+    """Read stamps, and (N,) exposures in seconds if the lines have them."""
+    stamps: list[Decimal] = []
+    exposures_ms: list[float] = []
     ids: list[int] = []
     names: list[str] = []
     for where, words in read_rows(path, "give a folder with `id stamp exposure_ms` per frame"):
         names = names or _TIME_NAMES[: max(2, min(len(words), 3))]
         check_words(where, words, names)
         _check_id(where, words[0], ids)
-        row = [to_stamp(where, words[1]), *to_numbers(where, words[2:], names[2:])]
-        check_order(where, [r[0] for r in rows[-1:]], row[0])
-        for exposure_ms in row[1:]:
+        stamp, own_ms = to_decimal(where, words[1]), to_numbers(where, words[2:], names[2:])
+        check_order(where, stamps[-1:], stamp)
+        for exposure_ms in own_ms:
             check_exposure(f"{where}: exposure_ms", exposure_ms / 1000)
-        rows.append(row)
-    check_frames(path, rows)
-    stamps_s = np.array([row[0] for row in rows])
-    if len(names) < len(_TIME_NAMES):
-        return stamps_s, None
-    return stamps_s, np.array([row[1] for row in rows]) / 1000
+        stamps.append(stamp)
+        exposures_ms += own_ms
+    check_frames(path, stamps)
+    return stamps, np.array(exposures_ms) / 1000 if len(names) == len(_TIME_NAMES) else None
 
 
 def _check_id(where: str, word: str, ids: list[int]) -> None:

@@ -1,6 +1,7 @@
 """The TUM-mono form: photometric correction, the FOV lens, one line per fault."""
 
 import zipfile
+from decimal import Decimal
 from pathlib import Path
 
 import cv2
@@ -9,6 +10,7 @@ import pytest
 from io_sequences import edit, fault
 
 from dslab.scenarios.errors import InputError
+from dslab.sim.io.clock import written_ns
 from dslab.sim.io.forms import Form, detect_form, load_sequence, write_sequence
 from dslab.sim.io.fov_camera import FovCamera, read_fov_camera
 
@@ -169,3 +171,14 @@ def test_a_vignette_of_another_camera_is_refused(folder):
 def test_folders_of_no_form_are_refused(tmp_path):
     fault(tmp_path, "no sequence of a known form", "KITTI", "EuRoC", "TUM-mono")
     fault(tmp_path / "none", "no such folder")
+
+
+def test_stamps_since_1970_keep_every_nanosecond(folder):
+    rows = [line.split() for line in (folder / "times.txt").read_text().splitlines()]
+    stamps = [1403636579763555584 + 33_333_331 * k for k in range(len(rows))]
+    lines = [
+        f"{row[0]} {Decimal(s).scaleb(-9)} {' '.join(row[2:])}" for row, s in zip(rows, stamps, strict=True)
+    ]
+    (folder / "times.txt").write_text("\n".join(lines) + "\n")
+    (folder / "groundtruthSync.txt").unlink(missing_ok=True)
+    assert written_ns(load_sequence(folder)) == stamps
