@@ -150,7 +150,7 @@ class ScaleAlong:
 
     Attributes:
         relative: (n,) float64 ratio of each of ``n`` stretches of equal true length, over their median; NaN
-            for one without a step. All 1 without scale drift.
+            for one without motion. All 1 without scale drift.
         first_over_last: ratio over the first quarter of the true path over that of the last quarter; above 1
             where estimated steps grow along the path.
         steps: number of steps compared.
@@ -266,7 +266,8 @@ def scale_along(pairs: PosePairs, stretches: int = 10) -> ScaleAlong | Undefined
     camera moves much further per frame than that, as on a drive.
 
     Returns:
-        The scale; Undefined if the first or last quarter of the path holds no step, or no estimated motion.
+        The scale; Undefined if the first or last quarter of the path holds no step, or no motion of the truth
+        or of the estimate.
     """
     step = np.flatnonzero(np.diff(pairs.frames) == 1)
     true = np.linalg.norm(np.diff(pairs.T_world_cam[:, :3, 3], axis=0), axis=1)[step]
@@ -276,12 +277,13 @@ def scale_along(pairs: PosePairs, stretches: int = 10) -> ScaleAlong | Undefined
     middle = (np.cumsum(true) - true / 2) / true.sum()  # of each step, as a share of the path
 
     def ratio(of: np.ndarray) -> float:
-        return float(true[of].sum() / estimated[of].sum()) if estimated[of].sum() > 0 else float("nan")
+        lengths = float(true[of].sum()), float(estimated[of].sum())
+        return lengths[0] / lengths[1] if min(lengths) > 0 else float("nan")
 
     ratios = np.array([ratio(np.floor(middle * stretches) == k) for k in range(stretches)])
     first_over_last = ratio(middle < 1 / 4) / ratio(middle >= 3 / 4)
     if not np.isfinite(first_over_last):
-        return Undefined("no estimated motion in the first or the last quarter of the path")
+        return Undefined("no true or no estimated motion in the first or the last quarter of the path")
     return ScaleAlong(ratios / np.nanmedian(ratios), first_over_last, len(step))
 
 

@@ -31,7 +31,7 @@ def summarise(record: RunRecord) -> dict:
     adds poses, and the system may take some back. ``rescued_frames`` of the live ones were placed by
     intensities where features did not track, in ``rescues`` stretches that have ended.
     ``scale_along`` is true over estimated path length per tenth of the path, ``scale_first_over_last`` that
-    of the first quarter over that of the last: 1 without scale drift.
+    of the first quarter over that of the last: 1 without scale drift. ``scale_reason`` says why they lack.
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
     per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed,
     ``unreadable_frames`` could not be read; neither are among the ``frames``.
@@ -180,7 +180,8 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
 
 def _accuracy(record: RunRecord) -> dict:
     names = ("ate_m", "ate_median_m", "ate_max_m", "ate_share_of_path", "scale_m_per_map_unit", "scale_along")
-    names += ("scale_first_over_last", "ate_poses", "path_m", "path_share", "true_path_m", "rpe")
+    names += ("scale_first_over_last", "scale_reason", "ate_poses")
+    names += ("path_m", "path_share", "true_path_m", "rpe")
     empty = dict.fromkeys(names)
     truth = record.sequence.T_world_cam
     if truth is None:
@@ -197,7 +198,9 @@ def _accuracy(record: RunRecord) -> dict:
     step = max(1, round(RPE_STEP_S * record.sequence.camera.fps))
     rpe = metrics.rpe(pairs, step, ate.alignment.scale)
     scale = metrics.scale_along(pairs)
-    if not isinstance(scale, Undefined):
+    if isinstance(scale, Undefined):
+        found["scale_reason"] = scale.reason
+    else:
         found |= {"scale_along": scale.relative, "scale_first_over_last": scale.first_over_last}
     return {
         **found,

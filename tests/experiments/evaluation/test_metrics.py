@@ -204,3 +204,17 @@ def test_scale_along_of_a_perfect_estimate_is_one_and_of_no_motion_undefined():
     still = np.tile(np.eye(4), (5, 1, 1))
     assert isinstance(scale_along(PosePairs(np.arange(5), still, still)), Undefined)
     assert isinstance(scale_along(PosePairs(np.arange(80), np.tile(np.eye(4), (80, 1, 1)), truth)), Undefined)
+
+
+@pytest.mark.parametrize("rests", [slice(0, 30), slice(51, 81)], ids=["first", "last"])
+def test_scale_along_is_undefined_where_the_truth_rests_in_an_outer_quarter(rests):
+    truth = np.tile(np.eye(4), (81, 1, 1))
+    steps = np.zeros(81)
+    steps[40] = 1.0  # one step over the whole path, but for the hair of another
+    steps[[20, 60]] = 1e-3
+    steps[rests] = 0.0
+    truth[:, 2, 3] = np.cumsum(steps)
+    estimate = truth.copy()
+    estimate[:, 0, 3] = 1e-3 * (np.arange(81) % 2)  # it trembles where the truth rests
+    found = scale_along(PosePairs(np.arange(81), estimate, truth))
+    assert isinstance(found, Undefined) and "no true" in found.reason
