@@ -22,7 +22,7 @@ from dslab.experiments.campaign.folder import (
     write_spec,
 )
 from dslab.experiments.campaign.schedule import Record, Schedule, UnitOrder
-from dslab.experiments.eq1.record_table import normalise, storable
+from dslab.experiments.eq1.record_table import normalise, record_fault, storable
 from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
 from dslab.experiments.eq1.spec import ExperimentSpec
 from dslab.experiments.eq1.units import UnitSpec
@@ -163,9 +163,15 @@ def record_of(ended: Ended) -> dict[str, Any]:
     unit, message = ended.item, ended.message
     if ended.value is not None:
         try:
-            return normalise(ended.value, len(unit.threads))
+            record = normalise(ended.value, len(unit.threads))
+            fault = record_fault(
+                record, len(unit.threads)
+            )  # what is read again must hold what readers demand
         except ValueError as error:
-            message = f"its record is wrong: {error}"
+            fault = str(error)
+        if fault is None:
+            return record
+        message = f"its record is wrong: {fault}"
     return normalise(empty_record(unit) | {"message": message}, len(unit.threads))
 
 

@@ -75,6 +75,8 @@ def made_up_unit(unit: UnitSpec, cache_dir: Path | None = None, **_: object) -> 
         return empty_record(unit) | {"message": "no GL here"}
     elif what == "wrong":
         return {"unit_id": unit.unit_id}
+    elif what == "odd":
+        return made_up_record(unit) | {"outcome": "maybe"}
     return made_up_record(unit)
 
 

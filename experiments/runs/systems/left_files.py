@@ -25,6 +25,7 @@ _COLUMNS = {
 }
 NUMBERS = {"ms": float, "cpu_ms": float, "map_id": int, "mapping_cpu_ms": float, "loop_cpu_ms": float}
 """Columns of the table of frames, as the fields of a ``TrackingResult``; times over all stages."""
+_MOST_FIGURE = 1e9  # milliseconds of a frame, or number of a map
 _MOST_POSITION = 1e9
 _MOST_SKEW = 1e-2
 
@@ -99,10 +100,18 @@ def read_frames(path: Path, sequence: Sequence, faults: list[Ending]) -> dict[in
         near = nearest(sequence.stamps_s, stamps_s, _tolerance_s(sequence)) if rows else []
         for frame, row in zip(map(int, near), rows, strict=True):
             if frame >= 0:
-                numbers = {n: of(row[n]) for n, of in NUMBERS.items() if row.get(n)}
+                numbers = {name: _figure(name, row[name]) for name in NUMBERS if row.get(name)}
                 found[frame] = {"state": (row.get("state") or "").strip(), **numbers}
         return found
     return {}
+
+
+def _figure(name: str, word: str) -> float | int:
+    """A figure of a frame. Raises ValueError for one that no reader of results takes."""
+    figure = NUMBERS[name](word)
+    if not 0 <= figure <= _MOST_FIGURE:
+        raise ValueError(f"{name} is {word[:20]}, not from 0 to {_MOST_FIGURE:g}")
+    return figure
 
 
 def _poses(path: Path, form: str, sequence: Sequence, faults: list[Ending]) -> tuple[np.ndarray, np.ndarray]:
@@ -192,5 +201,6 @@ def _matrices(table: np.ndarray, form: str) -> np.ndarray:
 def no_rotations(T: np.ndarray) -> np.ndarray:
     """(M,) bool: True where a finite pose has no rotation, or a position beyond sense."""
     R = T[:, :3, :3]
-    skew = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) > _MOST_SKEW
-    return skew | (np.linalg.det(R) <= 0) | (np.abs(T[:, :3, 3]).max(axis=1) > _MOST_POSITION)
+    with np.errstate(all="ignore"):  # squares of numbers beyond sense are infinite, or none
+        near = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= _MOST_SKEW
+        return ~(near & (np.linalg.det(R) > 0) & (np.abs(T[:, :3, 3]).max(axis=1) <= _MOST_POSITION))

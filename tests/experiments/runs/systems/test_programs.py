@@ -110,6 +110,18 @@ rows = [row for row, state in zip(rows, states) if state == "OK"]
     assert record.results[12].reason == "LOST"
 
 
+@pytest.mark.parametrize("figures", ["2.5,-1.5,0", "-0.1,1,0", "nan,1,0", "1,1e300,0", "1,1,-1"])
+def test_figures_of_frames_that_are_none_are_an_outcome_and_reach_no_result(run, figures):
+    edit = f"""
+lines = [f"{{s}},2.5,1.5,0" for s in stamps]
+lines[7] = f"{{stamps[7]}},{figures}"
+(out / "frames.csv").write_text("stamp_s,ms,cpu_ms,map_id\\n" + "\\n".join(lines))
+"""
+    record = run(edit, frames="frames.csv")
+    assert record.ending.kind is EndKind.UNREADABLE and "not from 0 to 1e+09" in record.ending.message
+    assert not any(r.cpu_ms or r.ms for r in record.results) and len(record.trajectories[0].frames) == FRAMES
+
+
 MAPS = """
 name = "trajectory_7.txt"
 (out / "trajectory_12.txt").write_text("".join(" ".join(row) + "\\n" for row in rows[:25]))
