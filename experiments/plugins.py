@@ -6,6 +6,8 @@ from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from threading import get_ident
+from typing import NoReturn
 
 from dslab.scenarios.errors import InputError
 
@@ -13,6 +15,7 @@ GROUP = "dual_slam_lab.plugins"
 """Group of entry points; each names a module, or a function without arguments, that registers something."""
 VARIABLE = "DSLAB_PLUGINS"
 """Environment variable with the names of further modules, separated by commas."""
+_MOST_WORDS = 1000
 
 
 @cache
@@ -41,9 +44,39 @@ def load_plugins() -> tuple[str, ...]:
 
 @contextmanager
 def of_others(where: str, problem: str, remedy: str) -> Iterator[None]:
-    """Turn whatever another's code raises into one line. Raises InputError."""
+    """Turn whatever another's code raises, or its end of the process, into one line. Raises InputError."""
+    try:
+        with no_exit():
+            yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise InputError(where, f"{problem} ({words_of(error)})", remedy) from error
+
+
+@contextmanager
+def no_exit() -> Iterator[None]:
+    """Make ``os._exit`` raise SystemExit in this thread: another's code does not end the lab unheard."""
+    ends, process, thread = os._exit, os.getpid(), get_ident()
+
+    def raises(status: int) -> NoReturn:
+        if (os.getpid(), get_ident()) == (process, thread):
+            raise SystemExit(f"os._exit({status})")
+        ends(status)
+
+    os._exit = raises
     try:
         yield
-    except Exception as error:
-        said = " ".join(f"{problem} ({type(error).__name__}: {error})".split())
-        raise InputError(where, said, remedy) from error
+    finally:
+        os._exit = ends
+
+
+def words_of(error: BaseException) -> str:
+    """Kind and message of what another's code has raised, in one line; its message may raise as well."""
+    try:
+        words = f"{type(error).__name__}: {error}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
+        words = f"{type(error).__name__}, without words"
+    return " ".join(words.split())[:_MOST_WORDS]

@@ -164,13 +164,12 @@ def record_of(ended: Ended) -> dict[str, Any]:
     if ended.value is not None:
         try:
             record = normalise(ended.value, len(unit.threads))
-            fault = record_fault(
-                record, len(unit.threads)
-            )  # what is read again must hold what readers demand
+            # The writer checks what readers demand.
+            fault = record_fault(record, len(unit.threads))
+            if fault is None:
+                return record
         except ValueError as error:
             fault = str(error)
-        if fault is None:
-            return record
         message = f"its record is wrong: {fault}"
     return normalise(empty_record(unit) | {"message": message}, len(unit.threads))
 

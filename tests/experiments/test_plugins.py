@@ -26,9 +26,13 @@ def test_a_module_named_in_the_environment_is_imported(plugin, tmp_path):
     assert (tmp_path / "seen").read_text() == "x"
 
 
-def test_a_plugin_that_fails_is_one_line(plugin, dslab):
-    plugin("broken_plugin", "raise RuntimeError('no good')\n")
-    with pytest.raises(InputError, match=r"DSLAB_PLUGINS: broken_plugin: cannot be loaded .*no good"):
+@pytest.mark.parametrize(
+    "text",
+    ["raise RuntimeError('no good')", "raise SystemExit('no good')", "import os; os._exit(0) # no good"],
+)
+def test_a_plugin_that_fails_is_one_line(plugin, dslab, text):
+    plugin("broken_plugin", text)
+    with pytest.raises(InputError, match=r"DSLAB_PLUGINS: broken_plugin: cannot be loaded .*(good|_exit)"):
         load_plugins()
     code, _, err = dslab("scenarios", "list")
     assert code == 2 and "broken_plugin" in err and len(err.strip().splitlines()) == 1

@@ -135,7 +135,7 @@ def _record(
 
     paths, live, made = poses(spec.trajectory), poses(spec.live), poses(spec.keyframes)
     frames = {} if spec.frames is None else read_frames(left / spec.frames, sequence, faults)
-    events = () if spec.events is None else read_events(left / spec.events, len(sequence), faults)
+    events = () if spec.events is None else read_events(left / spec.events, sequence.stamps_s, faults)
     places = {path.map_id: place for place, path in enumerate(paths)}
     made = sorted(made, key=lambda path: places.get(path.map_id, len(places)))
     results = _results(sequence, paths[:1] if spec.live is None else live, frames, made)

@@ -42,7 +42,8 @@ class ClassSystem:
         """
         with of_others(self.source, "cannot be made with (camera, seed)", "correct its constructor"):
             made = self.make(camera, seed)
-        if not callable(getattr(made, "process", None)):
+            has_process = callable(getattr(made, "process", None))
+        if not has_process:
             raise InputError(self.source, "has no process(image, stamp_s)", "see `examples/own_slam.py`")
         return PosesOnly(made, camera, self.source)
 
@@ -62,7 +63,8 @@ def class_system(named: str) -> ClassSystem:
     where = f"system {named}"
     with of_others(where, "cannot be imported", "check its name and its imports"):
         module = _file_module(module_name) if module_name.endswith(".py") else _module(module_name)
-    return ClassSystem(class_name, _callable(getattr(module, class_name, None), where), named)
+        found = getattr(module, class_name, None)
+    return ClassSystem(class_name, _callable(found, where), named)
 
 
 def entry_point_names() -> dict[str, EntryPoint]:

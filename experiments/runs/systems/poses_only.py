@@ -1,12 +1,15 @@
 """A system of which only poses are known: an adapter of the protocol that a run needs."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Callable
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
+from dslab.experiments.plugins import no_exit, words_of
 from dslab.experiments.runs.ending import Declares, Ending, EndKind
+from dslab.experiments.runs.systems.left_events import EVENT_FAULTS, checked_event
 from dslab.experiments.runs.systems.left_files import no_rotations
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.events import Breakage, Event, TrackingState
@@ -25,7 +28,7 @@ class PosesOnly:
     words) for each loss that it declares.
 
     What the source raises ends its part in the run, not the run: later frames have no pose. A pose that is
-    none counts as no pose.
+    none counts as no pose, and an event that is none as no event.
 
     Args:
         source: the object to ask for poses; None for none that is asked.
@@ -34,7 +37,8 @@ class PosesOnly:
 
     Attributes:
         ending: how it ended so far.
-        events: what it declared, in order.
+        events: what it declared so far, in order; each of its (stamp_s, words) is a breakage.
+        declares: whether it says anything of itself.
     """
 
     def __init__(self, source: Any, camera: Any, name: str) -> None:
@@ -42,49 +46,33 @@ class PosesOnly:
         self.config = None
         self.settings: dict[str, Any] = {"system": name}
         self.ending = Ending()
+        self.events: list[Event] = []
+        self.declares = Declares.NOTHING
         self._source = source
         self._stamps_s: list[float] = []
         self._poses: list[np.ndarray | None] = []
+        self._declared = 0  # entries of its list that were looked at
         self._was_initialized = False
-
-    @property
-    def events(self) -> list[Event]:
-        """Events of the source; each of its (stamp_s, words) is a breakage."""
-        return [e for e in map(self._event, self._declared()) if e is not None]
-
-    @property
-    def declares(self) -> Declares:
-        """Whether the source says anything of itself."""
-        declared = getattr(self._source, "events", None)
-        if not isinstance(declared, list):
-            return Declares.NOTHING
-        ours = declared and all(isinstance(event, Event) for event in declared)
-        return Declares.EVENTS if ours else Declares.LOSSES
 
     def process(self, image: np.ndarray, stamp_s: float) -> TrackingResult:
         """Ask for the pose of a frame."""
         image = image.copy()  # of its own: other systems are given these frames too
         started_s, started_cpu_s = time.perf_counter(), time.thread_time()
-        T_map_cam = self._ask(lambda: self._source.process(image, stamp_s))
+        given = None if self._is_over else self._ask(lambda: self._source.process(image, stamp_s))
         ms = {"process": 1e3 * (time.perf_counter() - started_s)}
         cpu_ms = {"process": 1e3 * (time.thread_time() - started_cpu_s)}
         self._stamps_s.append(stamp_s)
-        self._poses.append(self._checked(T_map_cam, stamp_s))
+        self._poses.append(self._ask(lambda: self._checked(given, stamp_s)))
+        self._ask(self._take_events)
         self._was_initialized |= self._poses[-1] is not None
         frame = len(self._poses) - 1
         return frame_result(frame, stamp_s, self._poses[-1], self._was_initialized, ms=ms, cpu_ms=cpu_ms)
 
     def finish(self) -> None:
         """Take the final poses, if the source has any."""
-        finish = getattr(self._source, "finish", None)
-        final = self._ask(finish) if callable(finish) else None
-        if final is None:
-            return
-        if not hasattr(final, "__len__") or len(final) != len(self._stamps_s):
-            problem = f"finish() gives no {len(self._stamps_s)} poses, one per frame"
-            self._end(EndKind.UNREADABLE, problem, "return one pose or None per frame that was processed")
-            return
-        self._poses = [self._checked(T, s) for T, s in zip(final, self._stamps_s, strict=True)]
+        if not self._is_over and (final := self._ask(self._final)) is not None:
+            self._poses = final
+        self._ask(lambda: self._take_events(ended=True))
 
     def trajectories(self) -> list[MapTrajectory]:
         """The one path; none without a pose."""
@@ -110,29 +98,64 @@ class PosesOnly:
         """Raises ValueError: maps are not known."""
         raise ValueError("only poses are known of this system")
 
-    def _ask(self, question: Any) -> Any:
-        if self.ending.kind in (EndKind.CRASHED, EndKind.OUT_OF_MEMORY):
-            return None
+    @property
+    def _is_over(self) -> bool:
+        return self.ending.kind in (EndKind.CRASHED, EndKind.OUT_OF_MEMORY)
+
+    def _ask(self, question: Callable[[], Any]) -> Any:
+        """The answer of the source, or None; whatever it raises is the outcome, but for an interrupt."""
         try:
-            return question()
+            with no_exit():
+                return question()
+        except KeyboardInterrupt:
+            raise
         except MemoryError as error:
-            self.ending = Ending(EndKind.OUT_OF_MEMORY, _line(error))
-        except (Exception, SystemExit) as error:  # another's code: whatever it raises is the outcome
-            self.ending = Ending(EndKind.CRASHED, _line(error), "run it in a debugger on this sequence")
+            self.ending = Ending(EndKind.OUT_OF_MEMORY, words_of(error))
+        except BaseException as error:
+            self.ending = Ending(EndKind.CRASHED, words_of(error), "run it in a debugger on this sequence")
         return None
 
-    def _declared(self) -> Iterable[Any]:
-        declared = getattr(self._source, "events", ())
-        return declared if isinstance(declared, list) else ()
+    def _final(self) -> list[np.ndarray | None] | None:
+        """Its final poses, checked; None if those that were given stand."""
+        finish, count = getattr(self._source, "finish", None), len(self._stamps_s)
+        given = finish() if callable(finish) else None
+        if given is None:
+            return None
+        final = list(islice(given, count + 1)) if hasattr(given, "__len__") else []
+        if len(final) != count:
+            problem = f"finish() gives no {count} poses, one per frame"
+            self._end(EndKind.UNREADABLE, problem, "return one pose or None per frame that was processed")
+            return None
+        return [self._checked(T, s) for T, s in zip(final, self._stamps_s, strict=True)]
+
+    def _take_events(self, ended: bool = False) -> None:
+        """Take what the source has declared since it was last looked at, but for what is still to come."""
+        declared = getattr(self._source, "events", None)
+        if not isinstance(declared, list):
+            return
+        declared = list(declared)
+        ours = declared and all(isinstance(event, Event) for event in declared)
+        self.declares = Declares.EVENTS if ours else Declares.LOSSES
+        for given in declared[self._declared :]:
+            self._declared += 1
+            try:
+                event = self._event(given)
+                if event is None and not ended:
+                    self._declared -= 1
+                    return
+                if event is None:
+                    raise ValueError("its frame never came")
+                self.events.append(checked_event(event, np.array(self._stamps_s)))
+            except EVENT_FAULTS as error:
+                remedy = "declare events of `slam.events`, or (stamp_s, words) with the stamp of a frame"
+                self._end(EndKind.UNREADABLE, f"an event is none: {words_of(error)}", remedy)
 
     def _event(self, declared: Any) -> Event | None:
+        """The event of what was declared; None if its frame is still to come. Raises EVENT_FAULTS."""
         if isinstance(declared, Event):
-            return declared
-        try:
-            stamp_s, words = declared
-            frame = int(np.searchsorted(self._stamps_s, float(stamp_s) - 1e-9))
-        except (TypeError, ValueError):
-            return None
+            return declared if declared.frame < len(self._stamps_s) else None
+        stamp_s, words = declared
+        frame = int(np.searchsorted(self._stamps_s, float(stamp_s) - 1e-9))
         if frame >= len(self._stamps_s):
             return None
         return Breakage(frame=frame, stamp_s=self._stamps_s[frame], map_id=0, reason=str(words), inliers=0)
@@ -142,7 +165,7 @@ class PosesOnly:
             return None
         try:
             T = np.array(given, float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             T = np.empty(0)
         at = f"the pose at {stamp_s:.6f} s"
         if T.shape == (4, 4) and not np.isfinite(T).all():
@@ -194,7 +217,3 @@ def frame_result(
         cpu_ms=cpu_ms or {},
         ms=ms or {},
     )
-
-
-def _line(error: BaseException) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())

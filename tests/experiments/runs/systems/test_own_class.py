@@ -1,6 +1,7 @@
 """A class of one's own: its poses become a record, and what it does wrong an outcome."""
 
 import json
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from slam_fakes import make_sequence
 
+from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs import sources
 from dslab.experiments.runs.ending import Declares, EndKind
 from dslab.experiments.runs.systems import own_class
@@ -16,7 +18,8 @@ from dslab.experiments.runs.systems.own_class import ClassSystem, class_system
 from dslab.experiments.runs.systems.registry import Registry, system_digest
 from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.errors import InputError
-from dslab.slam.core.events import Breakage
+from dslab.slam.core.events import Breakage, Relocalized
+from dslab.slam.core.relation import PlacedFrames, Relation
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "own_slam.py"
 FRAMES = 60
@@ -113,6 +116,78 @@ def test_what_it_does_wrong_is_an_outcome_and_the_other_poses_count(sequence, gi
     record = run(Faulty, sequence)
     assert record.ending.kind is kind and record.ending.message
     assert len(record.results) == FRAMES and len(record.trajectories[0].frames) == posed
+
+
+class Ends(BaseException):
+    """What no `except Exception` stops; its words raise as well."""
+
+    def __str__(self):
+        raise Ends
+
+
+class Raising:
+    """Raises wherever it is looked at."""
+
+    def __array__(self, *_, **__):
+        raise Ends
+
+    __len__ = __array__
+
+
+def ends(*_):
+    raise Ends
+
+
+EVENT = {"frame": 9, "stamp_s": 0.3, "map_id": 0, "reason": "dark", "inliers": 3}
+NO_SIDE = PlacedFrames(np.array([99]), np.zeros(1), np.eye(4)[None])
+RELOCALIZED = {"frame": 9, "stamp_s": 0.3, "map_id": 0, "keyframe": 1, "first_frame": 9, "inliers": 3}
+RELOCALIZED |= {"frames_lost": 1, "lost_s": 0.1, "relation": Relation(NO_SIDE, NO_SIDE, 1.0)}
+
+
+@pytest.mark.parametrize(
+    ("members", "kind"),
+    [
+        ({"process": ends}, EndKind.CRASHED),
+        ({"process": lambda *_: os._exit(0)}, EndKind.CRASHED),
+        ({"process": lambda *_: Raising()}, EndKind.CRASHED),
+        ({"process": lambda *_: [[10**400] * 4] * 4}, EndKind.UNREADABLE),
+        ({"process": lambda *_: np.full((4, 4), 1e300)}, EndKind.UNREADABLE),
+        ({"finish": lambda _: Raising()}, EndKind.CRASHED),
+        ({"finish": property(ends)}, EndKind.CRASHED),
+        ({"events": property(ends)}, EndKind.CRASHED),
+        ({"events": [(0.1, Ends())]}, EndKind.CRASHED),
+        ({"events": [(10**400, "dark")]}, EndKind.UNREADABLE),
+        ({"events": [(1e9, "dark")]}, EndKind.UNREADABLE),
+        ({"events": [7]}, EndKind.UNREADABLE),
+        ({"events": [Breakage(**EVENT | {"frame": 10**9})]}, EndKind.UNREADABLE),
+        ({"events": [Breakage(**EVENT | {"stamp_s": 10**400})]}, EndKind.UNREADABLE),
+        ({"events": [Breakage(**EVENT | {"inliers": "?"})]}, EndKind.UNREADABLE),
+        ({"events": [Relocalized(**RELOCALIZED)]}, EndKind.UNREADABLE),
+    ],
+    ids=range(16),
+)
+def test_whatever_it_raises_or_declares_is_an_outcome(sequence, members, kind):
+    record = run(type("Hostile", (Replay,), members), sequence)
+    assert record.ending.kind is kind and record.ending.message and record.events == ()
+    assert summarise(record)["ended"] == kind.value and len(record.results) == FRAMES
+
+
+def test_numbers_of_numpy_are_those_of_an_event_and_one_that_is_none_spoils_no_other(sequence):
+    event = Breakage(**EVENT | {"frame": np.int64(9), "stamp_s": np.float32(0.5)})
+    (found,) = run(type("Saying", (Replay,), {"events": [7, event]}), sequence).events
+    assert found == event and (type(found.frame), type(found.stamp_s)) == (int, float)
+
+
+@pytest.mark.parametrize("member", ["__init__(self, *_)", "process"])
+@pytest.mark.parametrize("way", ["raise SystemExit", "import os; os._exit(0)", "raise GeneratorExit"])
+def test_one_that_ends_when_it_is_made_is_one_line(dslab, monkeypatch, tmp_path, sequence, member, way):
+    monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: sequence)
+    get = "@property\n    " if member == "process" else ""
+    member = f"{member}(self)" if get else member
+    (tmp_path / "ends.py").write_text(f"class Own:\n    {get}def {member}:\n        {way}\n")
+    words = ("run", "x", "--system", f"{tmp_path}/ends.py:Own", "--out", tmp_path / "r")
+    code, _, err = dslab(*words)
+    assert code == 2 and "cannot be made" in err and err.count("\n") == 1
 
 
 def test_the_example_runs_by_the_command_beside_ours(dslab, monkeypatch, no_picture, tmp_path, sequence):
