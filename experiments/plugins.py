@@ -1,12 +1,16 @@
 """Plugins: modules that register worlds, motions, degradations or recovery threads in every process."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 from threading import get_ident
+from types import ModuleType
 from typing import NoReturn
 
 from dslab.scenarios.errors import InputError
@@ -14,8 +18,9 @@ from dslab.scenarios.errors import InputError
 GROUP = "dual_slam_lab.plugins"
 """Group of entry points; each names a module, or a function without arguments, that registers something."""
 VARIABLE = "DSLAB_PLUGINS"
-"""Environment variable with the names of further modules, separated by commas."""
+"""Environment variable with further modules, separated by commas: names, or files that end with ``.py``."""
 _MOST_WORDS = 1000
+_SOURCE = "__dslab_source__"
 
 
 @cache
@@ -37,9 +42,38 @@ def load_plugins() -> tuple[str, ...]:
         with of_others(
             f"{VARIABLE}: {name}", "cannot be loaded", "correct it, or take it out of the variable"
         ):
-            import_module(name)
+            module_of(name)
         loaded.append(name)
     return tuple(loaded)
+
+
+def module_of(name: str) -> ModuleType:
+    """Import a module by its name, also from the present folder, or from a file that ends with ``.py``.
+
+    Raises whatever the module raises, and ImportError if there is none.
+    """
+    if name.endswith(".py"):
+        return _file_module(Path(name))
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    return import_module(name)
+
+
+def _file_module(path: Path) -> ModuleType:
+    # Under its place: its name may be that of any other module.
+    spec = spec_from_file_location(str(path.absolute()), path)
+    if spec is None or spec.loader is None or not path.is_file():
+        raise ImportError(f"no such file: {path}")
+    source = path.read_bytes()
+    known = sys.modules.get(spec.name)
+    if getattr(known, _SOURCE, None) == source:  # what it registers, it registers once
+        return sys.modules[spec.name]
+    module = module_from_spec(spec)
+    sys.modules[spec.name] = module  # where its source is looked for
+    spec.loader.exec_module(module)
+    setattr(module, _SOURCE, source)
+    return module
 
 
 @contextmanager

@@ -1,16 +1,12 @@
 """Classes of one's own as systems: found by an entry point, or named as ``module:Class``."""
 
-import importlib
-import importlib.util
 import re
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import Any
 
-from dslab.experiments.plugins import of_others
+from dslab.experiments.plugins import module_of, of_others
 from dslab.experiments.runs.systems.poses_only import PosesOnly
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.camera import PinholeCamera
@@ -62,8 +58,7 @@ def class_system(named: str) -> ClassSystem:
     module_name, _, class_name = named.rpartition(":")
     where = f"system {named}"
     with of_others(where, "cannot be imported", "check its name and its imports"):
-        module = _file_module(module_name) if module_name.endswith(".py") else _module(module_name)
-        found = getattr(module, class_name, None)
+        found = getattr(module_of(module_name), class_name, None)
     return ClassSystem(class_name, _callable(found, where), named)
 
 
@@ -84,22 +79,3 @@ def _callable(found: Any, where: str) -> Callable[[PinholeCamera, int], Any]:
     if not callable(found):
         raise InputError(where, "is no class", "name a class, made with (camera, seed)")
     return found
-
-
-def _module(name: str) -> Any:
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    return importlib.import_module(name)
-
-
-def _file_module(name: str) -> Any:
-    path = Path(name)
-    # Under its place: its name may be that of any other module.
-    spec = importlib.util.spec_from_file_location(str(path.absolute()), path)
-    if spec is None or spec.loader is None or not path.is_file():
-        raise ImportError(f"no such file: {path}")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where its source is looked for
-    spec.loader.exec_module(module)
-    return module
