@@ -2,15 +2,17 @@
 
 import time
 from collections.abc import Callable, Iterable
+from collections.abc import Sequence as Many
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from dslab.experiments.runs.ending import FINISHED, Declares, Ending
+from dslab.experiments.runs.ending import FINISHED, Declares, Ending, EndKind
 from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 from dslab.experiments.runs.pacing import RealTime
 from dslab.scenarios.errors import InputError, notice
+from dslab.sim.io.truth import MOST_POSITION_M
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 from dslab.slam.config import SlamConfig
@@ -195,8 +197,15 @@ def record_of(
     wall_s: float,
     dropped: int = 0,
 ) -> RunRecord:
-    """Make the record of a finished system; arguments as its fields."""
+    """Make the record of a finished system; arguments as its fields.
+
+    Poses too far away to be read again are left out of its paths, which its ending says.
+    """
     results = tuple(results)
+    paths, are_all = _near(system.trajectories())
+    ending = getattr(system, "ending", FINISHED)
+    if ending.kind is EndKind.FINISHED and not are_all:
+        ending = Ending(EndKind.NOT_FINITE, f"poses further away than {MOST_POSITION_M:g} are left out")
     return RunRecord(
         sequence=sequence,
         system_kind=system_kind,
@@ -204,16 +213,25 @@ def record_of(
         config=system.settings,
         results=results,
         events=tuple(system.events),
-        trajectories=tuple(system.trajectories()),
-        keyframes=tuple(system.keyframe_trajectories()),
+        trajectories=paths,
+        keyframes=_near(system.keyframe_trajectories())[0],
         live=live_trajectories(results),
         map_points={map_id: len(system.map_points(map_id)) for map_id in system.maps()},
         wall_s=wall_s,
         peak_rss_mb=peak_rss_mb(),
         dropped_frames=dropped,
-        ending=getattr(system, "ending", FINISHED),
+        ending=ending,
         declares=getattr(system, "declares", Declares.EVENTS),
     )
+
+
+def _near(paths: Many[MapTrajectory]) -> tuple[tuple[MapTrajectory, ...], bool]:
+    """The paths without poses beyond the bound, and whether these are all."""
+    near = [np.abs(path.T_map_cam[:, :3, 3]).max(axis=1, initial=0.0) <= MOST_POSITION_M for path in paths]
+    if all(of.all() for of in near):
+        return tuple(paths), True
+    kept = [path.where(of) for path, of in zip(paths, near, strict=True) if of.any()]
+    return tuple(sorted(kept, key=lambda path: -len(path.frames))), False
 
 
 def system_factory(

@@ -12,7 +12,8 @@ from dslab.scenarios.input_files import is_given
 from dslab.sim.io.text import check_order, check_words, data_rows, read_rows, to_numbers, to_stamp
 
 # Farther positions are no metres; their squares would leave the alignment no digits.
-_MOST_POSITION_M = 1e9
+MOST_POSITION_M = 1e9
+"""Largest coordinate that is read, of a truth or of a path that the lab has written."""
 _MOST_SKEW = 1e-2
 _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
@@ -81,9 +82,9 @@ def is_rotation(R: np.ndarray) -> bool:
 def check_position(where: str, position_m: Iterable[float]) -> None:
     """Raise InputError for a position that cannot be one in metres."""
     for value in position_m:
-        if abs(value) > _MOST_POSITION_M:
+        if abs(value) > MOST_POSITION_M:
             problem = f"{value:g} is no coordinate in metres"
-            raise InputError(f"{where}: position", problem, f"give metres, at most {_MOST_POSITION_M:g}")
+            raise InputError(f"{where}: position", problem, f"give metres, at most {MOST_POSITION_M:g}")
 
 
 def check_pose(where: str, pose: list[float], names: list[str] = _TUM_NAMES[1:]) -> None:

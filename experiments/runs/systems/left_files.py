@@ -14,7 +14,7 @@ from dslab.experiments.runs.ending import Ending, EndKind
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import TABLE_BYTES, is_given, read_text
 from dslab.sim.io.text import read_rows
-from dslab.sim.io.truth import half_interval_s, nearest, poses_of
+from dslab.sim.io.truth import MOST_POSITION_M, half_interval_s, nearest, poses_of
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.results import MapTrajectory
 
@@ -26,7 +26,6 @@ _COLUMNS = {
 NUMBERS = {"ms": float, "cpu_ms": float, "map_id": int, "mapping_cpu_ms": float, "loop_cpu_ms": float}
 """Columns of the table of frames, as the fields of a ``TrackingResult``; times over all stages."""
 _MOST_FIGURE = 1e9  # milliseconds of a frame, or number of a map
-_MOST_POSITION = 1e9
 _MOST_SKEW = 1e-2
 
 
@@ -203,4 +202,4 @@ def no_rotations(T: np.ndarray) -> np.ndarray:
     R = T[:, :3, :3]
     with np.errstate(all="ignore"):  # squares of numbers beyond sense are infinite, or none
         near = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2)) <= _MOST_SKEW
-        return ~(near & (np.linalg.det(R) > 0) & (np.abs(T[:, :3, 3]).max(axis=1) <= _MOST_POSITION))
+        return ~(near & (np.linalg.det(R) > 0) & (np.abs(T[:, :3, 3]).max(axis=1) <= MOST_POSITION_M))

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_fakes import fake_factory, make_sequence, run_sequence
+from slam_fakes import FakeSystem, fake_factory, make_sequence, run_sequence
 
+from dslab.experiments.comparison.left_runs import read_run
 from dslab.experiments.runs.execution import execute
 from dslab.experiments.runs.files import plain
 from dslab.scenarios.errors import InputError
@@ -128,6 +129,18 @@ def test_a_run_that_never_initialises_has_a_summary_too(sequence, tmp_path):
     assert summary["ate_m"] is None and summary["ate_reason"] == "no map"
     lines = (tmp_path / "r" / "trajectory.txt").read_text().splitlines()
     assert len(lines) == 1 and lines[0].startswith("#")
+
+
+def test_poses_too_far_away_to_be_read_again_are_left_out_and_said(sequence, tmp_path):
+    class Far(FakeSystem):
+        def trajectories(self):
+            (path,) = super().trajectories()
+            path.T_map_cam[7, 0, 3] = -2e9
+            return [path]
+
+    summary = run_sequence(sequence, "base", 0, tmp_path / "run", build=lambda *_: Far(sequence.T_world_cam))
+    assert (summary["ended"], summary["posed"]) == ("not_finite", len(sequence) - 5 - 1)
+    assert len(read_run(tmp_path / "run").pairs) == summary["posed"]
 
 
 def test_a_run_that_fails_leaves_no_folder(sequence, tmp_path):
