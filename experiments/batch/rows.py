@@ -14,7 +14,8 @@ from dslab.experiments.runs.execution import RunRecord
 
 Row = dict[str, Any]
 
-KEY = ("source", "system", "run")
+CONTENT = "sequence_digest"
+KEY = (CONTENT, "system", "run")
 STAGE = "stage_"
 """Start of the columns with the median CPU time of a stage, milliseconds."""
 ERROR = "error"
@@ -24,6 +25,7 @@ DECLARED = ("loops", "relocalizations", "joins", "fusions")
 COLUMNS = {
     "source": ("string", "the sequence, as named"),
     "sequence": ("string", "its own name"),
+    CONTENT: ("string", "hash of its images, times, camera and truth, or of the scenario"),
     "system": ("string", "name of the system"),
     "run": ("Int64", "number of the run, from 0"),
     "seed": ("Int64", "seed of the system"),
@@ -120,7 +122,7 @@ def typed(rows: list[Row]) -> pd.DataFrame:
     stages = sorted({str(name) for row in rows for name in row if str(name).startswith(STAGE)})
     types = {name: kind for name, (kind, _) in COLUMNS.items()} | dict.fromkeys(stages, "Float64")
     table = pd.DataFrame(rows, columns=list(types))
-    table = table.astype(types).sort_values(list(KEY), kind="stable")
+    table = table.astype(types).sort_values(["source", "system", "run"], kind="stable")
     return table.reset_index(drop=True)
 
 

@@ -1,5 +1,6 @@
 """Run a batch: every run is a job in a process of its own, whose row is kept when it ends."""
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -11,13 +12,14 @@ import numpy as np
 import pandas as pd
 
 from dslab.experiments.batch.breakages import add_overlaps
-from dslab.experiments.batch.rows import ERROR, KEY, Row, figures_of, typed
+from dslab.experiments.batch.rows import CONTENT, ERROR, KEY, Row, figures_of, typed
 from dslab.experiments.batch.spec import BatchSpec
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import Owner, ledger_of
 from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
 from dslab.experiments.result_folder import write_run
 from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.identity import check_once, sequence_digest, system_identity
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
@@ -25,7 +27,7 @@ from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.registry import Registry, System, system_digest
 from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.input_files import is_folder
+from dslab.scenarios.input_files import is_folder, is_given
 from dslab.scenarios.loading import load_scenario
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
 from dslab.sim.io.folders import new_directory, write_file
@@ -59,7 +61,12 @@ class Job:
     @property
     def key(self) -> tuple:
         """What tells its row from the others."""
-        return tuple(self.about[name] for name in KEY)
+        return _key(self.about)
+
+    @property
+    def named(self) -> Row:
+        """Its columns that follow the name of the sequence."""
+        return {name: self.about[name] for name in ("source", "sequence")}
 
     @property
     def scene(self) -> tuple[str, int | None]:
@@ -81,7 +88,7 @@ def run_batch(
     """Run what a folder does not have yet, and return every row of the batch.
 
     A row is kept as soon as its run has ended, so that a batch may be killed and started again. Runs that
-    could not be made are made again then, and so are those of a system that was changed.
+    could not be made are made again then, and so are those of a system or a sequence that was changed.
 
     Args:
         spec: what to run.
@@ -94,23 +101,35 @@ def run_batch(
         task: makes a run in its process; :func:`make_run` by default.
 
     Raises:
-        InputError: a system is unknown or cannot be started, or the folder holds something else or cannot be
-            written.
+        InputError: a system is unknown or cannot be started, a sequence cannot be read, two names stand for
+            one sequence or system, or the folder holds something else or cannot be written.
     """
     folders, show = tuple(folders), progress or (lambda step, done, total: None)
     systems = {name: Registry.open(folders).find(name) for name in spec.systems}
+    check_once("systems", {name: system_identity(system) for name, system in systems.items()})
+    check_once("names of systems", {name: system.name for name, system in systems.items()})
     for system in systems.values():
         if isinstance(system, CommandSystem):
             system.check()
+    contents: dict[str, str] = {}
+    for source in sources:
+        contents[source] = sequence_digest(source)
+        show("reading", len(contents), len(sources))
+    check_once("sequences", contents)
     settings = {
         "setting of stress, start, seed, mode or systems": spec.row_key,
         "version of the code": code_hash(),
     }
     with ledger_of(folder, Owner(settings, KEY)) as ledger:
-        jobs = {job.key: job for job in _jobs(spec, sources, systems, folders, folder)}
+        jobs = {job.key: job for job in _jobs(spec, contents, systems, folders, folder)}
+        places = {_place(source): content for source, content in contents.items()}
         kept = ledger.rows()
-        ledger.drop(row for row in kept if not _stands(row, jobs))
-        done = {tuple(row[name] for name in KEY) for row in kept if _stands(row, jobs)}
+        for row in kept:
+            if outdated := places.get(_place(row["source"]), row[CONTENT]) != row[CONTENT]:
+                rmtree(folder / row["folder"], ignore_errors=True)
+            if outdated or not _stands(row, jobs):
+                ledger.drop([row])
+        done = {_key(row) for row in kept if _stands(row, jobs)}
         missing = [job for key, job in jobs.items() if key not in done]
         _render(missing, workers, show)
         made = len(jobs) - len(missing)
@@ -122,7 +141,7 @@ def run_batch(
                     ledger.add(plain(_row(ended)))
                     made += 1
                     show("runs", made, len(jobs))
-        found = typed([row for row in ledger.rows() if tuple(row[name] for name in KEY) in jobs])
+        found = typed([row | jobs[_key(row)].named for row in ledger.rows() if _key(row) in jobs])
     write_file(folder / ROWS_FILE, lambda path: found.to_parquet(path, index=False))
     write_file(folder / CSV_FILE, lambda path: found.to_csv(path, index=False))
     return found
@@ -193,23 +212,37 @@ def _render_one(job: Job) -> None:
 
 def _stands(row: Row, jobs: dict[tuple, Job]) -> bool:
     """False for a row that is to be made again."""
-    job = jobs.get(tuple(row[name] for name in KEY))
+    job = jobs.get(_key(row))
     return row["ended"] != ERROR and (job is None or job.about["system_digest"] == row["system_digest"])
 
 
+def _key(row: Row) -> tuple:
+    return tuple(row[name] for name in KEY)
+
+
+def _place(source: str) -> str:
+    """The one name of a folder or a file; a scenario's own."""
+    return os.path.realpath(source) if is_given(source) else source
+
+
 def _jobs(
-    spec: BatchSpec, sources: list[str], systems: dict[str, System], folders: tuple[Path, ...], folder: Path
+    spec: BatchSpec,
+    contents: dict[str, str],
+    systems: dict[str, System],
+    folders: tuple[Path, ...],
+    folder: Path,
 ) -> list[Job]:
     """Every run, so that the first runs of all come first."""
     code, head, found = code_hash(), commit(), []
     digests = {name: system_digest(system) for name, system in systems.items()}
     for run in range(spec.runs):
-        for number, source in enumerate(sources):
+        for source, content in contents.items():
             for named, system in systems.items():
-                place = f"{RUNS_DIR}/{number:03d}-{Path(source).name}/{system.name}/{run:03d}"
+                place = f"{RUNS_DIR}/{Path(source).name}-{content[:12]}/{system.name}/{run:03d}"
                 about: Row = {
                     "source": source,
                     "sequence": Path(source).name,
+                    CONTENT: content,
                     "system": system.name,
                     "run": run,
                     "seed": spec.seed + (run if spec.vary in ("seeds", "scenes") else 0),

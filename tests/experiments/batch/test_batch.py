@@ -172,25 +172,25 @@ def test_scenes_vary_with_their_seeds_and_are_paired_by_run(tmp_path):
     assert found.run.tolist() == [0, 1] and found.path_m.nunique() == 2
 
 
-def test_more_runs_and_systems_may_be_added_but_not_other_settings(tmp_path, in_this_process):
+def test_more_runs_and_systems_may_be_added_but_not_other_settings(folder, tmp_path, in_this_process):
     def made():
         return (tmp_path / "made").read_text().split("\n")[:-1]
 
-    run_batch(spec_of(), ["drive"], tmp_path / "b", task=batch_fakes.made_up)
+    run_batch(spec_of(), [str(folder)], tmp_path / "b", task=batch_fakes.made_up)
     rows = run_batch(
-        spec_of(runs=3, systems=("base", "dual")), ["drive"], tmp_path / "b", task=batch_fakes.made_up
+        spec_of(runs=3, systems=("base", "dual")), [str(folder)], tmp_path / "b", task=batch_fakes.made_up
     )
     assert len(rows) == 6 and len(made()) == len(set(made())) == 6
     with pytest.raises(InputError, match="rows of another setting of stress"):
-        run_batch(spec_of(first_s=2.0), ["drive"], tmp_path / "b", task=batch_fakes.made_up)
+        run_batch(spec_of(first_s=2.0), [str(folder)], tmp_path / "b", task=batch_fakes.made_up)
 
 
-def test_a_system_that_was_changed_is_run_again(tmp_path, in_this_process):
+def test_a_system_that_was_changed_is_run_again(folder, tmp_path, in_this_process):
     path = write_program(tmp_path / "systems", make_sequence(FRAMES, segment=None))
     spec = spec_of(systems=("base", "copy"), runs=1)
-    run_batch(spec, ["drive"], tmp_path / "b", folders=[path.parent], task=batch_fakes.made_up)
+    run_batch(spec, [str(folder)], tmp_path / "b", folders=[path.parent], task=batch_fakes.made_up)
     path.write_text(path.read_text() + "about: another\n")
-    rows = run_batch(spec, ["drive"], tmp_path / "b", folders=[path.parent], task=batch_fakes.made_up)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b", folders=[path.parent], task=batch_fakes.made_up)
     assert len(rows) == 2 and sorted((tmp_path / "made").read_text().split()) == sorted(
         ["base", "0", "copy", "0", "copy", "0"]
     )
@@ -207,8 +207,8 @@ def rows_so_far(folder):
 
 
 @pytest.mark.slow
-def test_a_batch_that_was_killed_goes_on_and_gives_the_same_table(tmp_path, in_this_process):
-    whole = run_batch(spec_of(), ["drive"], tmp_path / "whole" / "b", task=batch_fakes.made_up)
+def test_a_batch_that_was_killed_goes_on_and_gives_the_same_table(folder, tmp_path, in_this_process):
+    whole = run_batch(spec_of(), [str(folder)], tmp_path / "whole" / "b", task=batch_fakes.made_up)
     there = tmp_path / "killed"
     script = f"""
 import sys; sys.path.insert(0, {str(Path(batch_fakes.__file__).parent)!r})
@@ -218,7 +218,7 @@ from dslab.experiments.batch.run import run_batch
 from dslab.experiments.batch.spec import BatchSpec
 if __name__ == "__main__":
     spec = BatchSpec(sequences=("drive",), systems=("base",), runs=2)
-    run_batch(spec, ["drive"], Path({str(there / "b")!r}), task=batch_fakes.slow)
+    run_batch(spec, [{str(folder)!r}], Path({str(there / "b")!r}), task=batch_fakes.slow)
 """
     there.mkdir()
     (there / "batch.py").write_text(script)
@@ -231,18 +231,20 @@ if __name__ == "__main__":
     os.kill(lab.pid, signal.SIGKILL)
     lab.wait()
     (there / "go").touch()
-    resumed = run_batch(spec_of(), ["drive"], there / "b", task=batch_fakes.slow)
+    resumed = run_batch(spec_of(), [str(folder)], there / "b", task=batch_fakes.slow)
     pd.testing.assert_frame_equal(resumed, whole)
     assert (there / "made").read_text().split("\n")[:-1] == ["base 0", "base 1"]
 
 
-def test_every_end_of_a_run_is_a_row_and_what_could_not_be_made_is_made_again(tmp_path, in_this_process):
+def test_every_end_of_a_run_is_a_row_and_what_could_not_be_made_is_made_again(
+    folder, tmp_path, in_this_process
+):
     spec = spec_of(runs=5)
-    rows = run_batch(spec, ["drive"], tmp_path / "b", workers=2, task=batch_fakes.going_wrong)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b", workers=2, task=batch_fakes.going_wrong)
     assert rows.ended.tolist() == ["finished", "crashed", "timed_out", "error", "finished"]
     assert "exit code 7" in rows.ended_message[1] and rows.ended_message[3] == "OSError: no disk"
     (tmp_path / "mended").touch()
-    rows = run_batch(spec, ["drive"], tmp_path / "b", workers=2, task=batch_fakes.going_wrong)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b", workers=2, task=batch_fakes.going_wrong)
     assert rows.ended.tolist() == ["finished", "crashed", "timed_out", "finished", "finished"]
     assert (tmp_path / "made").read_text().split("\n")[:-1].count("base 0") == 1
     (found,) = sums(rows).to_dict("records")
@@ -250,12 +252,12 @@ def test_every_end_of_a_run_is_a_row_and_what_could_not_be_made_is_made_again(tm
     assert found["ate_frames_m"] == 4.0  # the median of 1, 4 and 5
 
 
-def test_what_takes_frames_in_real_time_runs_alone_and_the_rest_side_by_side(tmp_path, monkeypatch):
+def test_what_takes_frames_in_real_time_runs_alone_and_the_rest_side_by_side(folder, tmp_path, monkeypatch):
     monkeypatch.setattr(batch_run, "open_pool", open_thread_pool)
     path = write_program(tmp_path / "systems", make_sequence(FRAMES, segment=None), pace="real_time")
     spec = spec_of(systems=("base", "copy"))
     rows = run_batch(
-        spec, ["drive"], tmp_path / "b", workers=2, folders=[path.parent], task=batch_fakes.meeting
+        spec, [str(folder)], tmp_path / "b", workers=2, folders=[path.parent], task=batch_fakes.meeting
     )
     assert rows[rows.system == "base"].ended_message.tolist() == ["met", "met"]
     assert rows[rows.system == "copy"].ended_message.tolist() == ["alone", "alone"]
