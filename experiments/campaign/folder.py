@@ -5,13 +5,14 @@ The exported table has a digest over its rows, and that of the spec beside it.
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dslab.experiments.eq1.record_table import data_frame, record_fault
-from dslab.experiments.eq1.records import columns
+from dslab.experiments.eq1.records import ColumnType, columns
 from dslab.experiments.eq1.spec import ExperimentSpec, read_spec_file, validated
 from dslab.experiments.jobs.ledger import LEDGER_FILE, LOCK_FILE, Ledger, Owner, Row
 from dslab.experiments.runs.provenance import release
@@ -22,11 +23,18 @@ from dslab.sim.unfinished import sweep
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow.parquet as pq
 
 SPEC_FILE = "spec.yaml"
 TABLE_FILE = "units.parquet"
 ERRORS_FILE = "infrastructure_errors.parquet"
-ERROR_COLUMNS = ("unit_id", "cell", "index", "attempt", "at", "worker", "message", "report")
+ERROR_COLUMNS: dict[str, ColumnType] = {
+    "unit_id": "text", "cell": "text", "index": "int", "attempt": "int", "at": "text", "worker": "text",
+    "message": "text", "report": "text",
+}  # fmt: skip
+_MOST_ERRORS = 100
+"""Of a unit, which few runs try more than a few times: more rows are no table of errors."""
+_ARROW = {"bool": "bool_", "int": "int64", "float": "float64", "text": "string"}
 _MEND = (
     "add --rerun-damaged to `dslab experiment run`, which runs damaged units again, or choose a new folder"
 )
@@ -90,9 +98,12 @@ def read_errors(folder: Path) -> list[Row]:
     Raises:
         InputError: it is not an experiment's folder, or its rows are damaged.
     """
+    spec = read_spec(folder)
     if _is_exported(folder):
-        return _read_parquet(folder / ERRORS_FILE)[0] if is_given(folder / ERRORS_FILE) else []
-    with open_ledger(folder, read_spec(folder), read_only=True) as ledger:
+        most = _MOST_ERRORS * _units_of(spec)
+        given = is_given(folder / ERRORS_FILE)
+        return _read_table(folder / ERRORS_FILE, ERROR_COLUMNS, most) if given else []
+    with open_ledger(folder, spec, read_only=True) as ledger:
         return ledger.errors()
 
 
@@ -118,7 +129,8 @@ def release_of(folder: Path) -> str | None:
     """
     if not _is_exported(folder):
         return None
-    return _read_parquet(folder / TABLE_FILE)[1].get(b"release", b"unknown").decode()
+    with _parquet(folder / TABLE_FILE) as file:
+        return _about(file).get(b"release", b"unknown").decode()
 
 
 def claim_folder(folder: Path) -> None:
@@ -166,20 +178,18 @@ def export(folder: Path, csv: bool = False) -> Path:
     threads = len(spec.threads)
     with open_ledger(folder, spec, read_only=True) as ledger:
         rows, errors = ledger.rows(), ledger.errors()
-    arrow = {"bool": pa.bool_(), "int": pa.int64(), "float": pa.float64(), "text": pa.string()}
     about = {
         "experiment": spec.name,
         "spec_hash": spec.content_hash,
         "spec_digest": _spec_digest(folder),
-        "digest": _digest(rows),
         "release": release(),
     }
-    kinds = {name: "int" if name in ("index", "attempt") else "text" for name in ERROR_COLUMNS}
-    for name, types, found, told in (
-        (TABLE_FILE, columns(threads), rows, about),
-        (ERRORS_FILE, kinds, errors, None),
+    for name, types, found in (
+        (TABLE_FILE, columns(threads), rows),
+        (ERRORS_FILE, ERROR_COLUMNS, errors),
     ):
-        schema = pa.schema([(column, arrow[kind]) for column, kind in types.items()], told)
+        told = about | {"digest": _digest(found)}
+        schema = pa.schema([(column, getattr(pa, _ARROW[kind])()) for column, kind in types.items()], told)
         write_file(folder / name, partial(_write_parquet, rows=found, schema=schema))
     if csv:
         to_csv = data_frame(rows, threads).to_csv
@@ -194,35 +204,81 @@ def _write_parquet(path: Path, rows: list[Row], schema: Any) -> None:
     pq.write_table(pa.Table.from_pylist(rows, schema=schema), path, write_page_checksum=True)
 
 
-def _read_parquet(path: Path) -> tuple[list[Row], dict[bytes, bytes]]:
-    """Rows and metadata of a file."""
+@contextmanager
+def _parquet(path: Path) -> "Iterator[pq.ParquetFile]":
+    """A file, of which nothing but its description has been read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     open_file(path).close()
     try:
-        table = pq.read_table(path, page_checksum_verification=True)
-        table.validate(full=True)
-        return table.to_pylist(), dict(table.schema.metadata or {})
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            yield file
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(str(path), f"is no Parquet file or damaged ({error})", _EXPORT) from error
 
 
-def _exported_rows(folder: Path, spec: ExperimentSpec) -> list[Row]:
-    """The rows of an exported table, whose spec is still the one of its export."""
-    path = folder / TABLE_FILE
-    rows, about = _read_parquet(path)
-    if about.get(b"spec_digest") != _spec_digest(folder).encode():
+def _about(file: "pq.ParquetFile") -> dict[bytes, bytes]:
+    return dict(file.schema_arrow.metadata or {})
+
+
+def _read_table(
+    path: Path,
+    types: Mapping[str, ColumnType],
+    most_rows: int,
+    fault: Callable[[Row], str | None] = lambda row: None,
+) -> list[Row]:
+    """The rows of an exported table, as they were written beside the spec that is still there.
+
+    A small file may hold millions of rows: none is read of a table that its description shows to be another.
+
+    Args:
+        path: of the table.
+        types: of its columns.
+        most_rows: that it can have.
+        fault: describes what in a row contradicts itself, before its digest does so in general.
+    """
+    import pyarrow as pa
+
+    with _parquet(path) as file:
+        about, found = _about(file), {field.name: str(field.type) for field in file.schema_arrow}
+        if differing := set(found) ^ set(types):
+            problem = f"is damaged: missing or unknown columns: {', '.join(sorted(differing))}"
+            raise InputError(str(path), problem, _EXPORT)
+        for name, kind in types.items():
+            if found[name] != str(getattr(pa, _ARROW[kind])()):
+                raise InputError(f"{path}: {name}", f"is damaged: it is of type {found[name]}", _EXPORT)
+        if file.metadata.num_rows > most_rows:
+            problem = f"has {file.metadata.num_rows} rows, more than the {most_rows} that its spec allows"
+            raise InputError(str(path), problem, _EXPORT)
+        table = file.read()
+        table.validate(full=True)
+        rows = table.to_pylist()
+    if about.get(b"spec_digest") != _spec_digest(path.parent).encode():
         raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _EXPORT)
-    owner, seen = owner_of(spec), set()
     for row in rows:
-        own = {row.get("unit_id"), (row.get("cell"), row.get("index"))}
-        if fault := owner.fault(row) or ("it occurs twice" if own & seen else None):
-            raise InputError(f"{path}: row {row.get('unit_id')!r}", f"is damaged: {fault}", _EXPORT)
-        seen |= own
+        if found_fault := fault(row):
+            raise InputError(f"{path}: row {row.get('unit_id')!r}", f"is damaged: {found_fault}", _EXPORT)
     if about.get(b"digest") != _digest(rows).encode():
         raise InputError(str(path), "is damaged: its rows are not those that were written", _EXPORT)
     return rows
+
+
+def _exported_rows(folder: Path, spec: ExperimentSpec) -> list[Row]:
+    """The rows of an exported table."""
+    owner, seen = owner_of(spec), set()
+
+    def fault(row: Row) -> str | None:
+        own = {row.get("unit_id"), (row.get("cell"), row.get("index"))}
+        twice = "it occurs twice" if own & seen else None
+        seen.update(own)
+        return owner.fault(row) or twice
+
+    return _read_table(folder / TABLE_FILE, columns(len(spec.threads)), _units_of(spec), fault)
+
+
+def _units_of(spec: ExperimentSpec) -> int:
+    return sum(map(spec.units_of, spec.cell_names()))
 
 
 def _is_exported(folder: Path) -> bool:

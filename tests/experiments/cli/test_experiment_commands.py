@@ -8,20 +8,23 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from pool_fakes import LocalPool, open_local_pool
 from unit_fakes import made_up_record, made_up_unit
 
-from dslab.experiments.campaign.folder import TABLE_FILE, export, open_ledger, read_experiment
+from dslab.experiments.campaign.folder import (
+    TABLE_FILE,
+    export,
+    open_ledger,
+    read_experiment,
+)
 from dslab.experiments.campaign.runner import Tally, run_experiment
 from dslab.experiments.cli.units import estimates_text
 from dslab.experiments.eq1.records import columns, decided
 from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.jobs.ledger import LEDGER_FILE
-from dslab.scenarios.errors import InputError
 
 ROOT = Path(__file__).parents[3]
 
@@ -280,52 +283,6 @@ def test_a_ledger_of_another_version_is_one_line_for_every_command(dslab, smoke,
         arguments = (plain, "--out", smoke) if name == "run" else (smoke, *rest)
         code, _, err = dslab("experiment", name, *arguments)
         assert code == 2 and err.count("\n") == 1 and "is of another version" in err, name
-
-
-def test_a_changed_bit_of_an_exported_table_changes_no_row_silently(dslab, smoke):
-    dslab("experiment", "export", smoke)
-    (smoke / LEDGER_FILE).unlink()
-    _, table = read_experiment(smoke)
-    file = smoke / TABLE_FILE
-    content, rng, found = file.read_bytes(), np.random.default_rng(0), 0
-    for place, bit in zip(rng.integers(len(content), size=20), rng.integers(8, size=20), strict=True):
-        damaged = bytearray(content)
-        damaged[place] ^= 1 << bit
-        file.write_bytes(damaged)
-        try:
-            pd.testing.assert_frame_equal(read_experiment(smoke)[1], table)
-        except InputError:
-            found += 1
-    assert found > 4
-
-
-def test_an_exported_table_belongs_to_its_spec(dslab, smoke):
-    dslab("experiment", "export", smoke)
-    (smoke / LEDGER_FILE).unlink()
-    spec = (smoke / "spec.yaml").read_text()
-    (smoke / "spec.yaml").write_text(spec.replace("tail_s: ", "tail_s: 1"))
-    code, _, err = dslab("experiment", "report", smoke)
-    assert code == 2 and err.count("\n") == 1 and "another spec.yaml" in err
-
-
-@pytest.mark.parametrize("damage", ["banana", "changed", "twice", "column", "no table"])
-def test_an_exported_table_of_wrong_rows_is_one_line(dslab, smoke, damage):
-    dslab("experiment", "export", smoke)
-    (smoke / LEDGER_FILE).unlink()
-    table = pq.read_table(smoke / TABLE_FILE)
-    rows = table.to_pylist()
-    if damage == "twice":
-        rows.append(rows[0])
-    rows[1] |= {"banana": {"outcome": "banana"}, "changed": {"severity": 7.0}}.get(damage, {})
-    schema = table.schema.remove(0) if damage == "column" else table.schema
-    pq.write_table(table.from_pylist(rows, schema=schema), smoke / TABLE_FILE)
-    if damage == "no table":
-        (smoke / TABLE_FILE).write_bytes(b"PAR1 no table PAR1")
-    code, _, err = dslab("experiment", "report", smoke)
-    assert code == 2 and err.count("\n") == 1 and TABLE_FILE in err
-    said = {"banana": "outcome is 'banana'", "changed": "not those that were written", "twice": "twice"}
-    said |= {"column": "missing or unknown columns: unit_id", "no table": "is no Parquet file"}
-    assert said[damage] in err
 
 
 @pytest.mark.slow
