@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from dslab.experiments.comparison.left_summary import read_summary
 from dslab.experiments.evaluation.broken_maps import usable_frames
 from dslab.experiments.evaluation.view_overlap import best_overlap, is_rescuable
-from dslab.experiments.result_folder import SUMMARY_FILE
 from dslab.experiments.runs.execution import RunRecord
-from dslab.scenarios.input_files import read_json
 from dslab.scenarios.spec import Scenario
 from dslab.slam.dual.config import DualConfig
 
@@ -41,7 +40,7 @@ def breakages(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
     """
     found = []
     for own in rows[rows.breakages.fillna(0) > 0].to_dict("records"):
-        summary = read_json(folder / own["folder"] / SUMMARY_FILE, dict)
+        summary = read_summary(folder / own["folder"])
         run = {name: own[name] for name in ("source", "system", "run", "seed")}
         found += [run | {"breakage": k} | row for k, row in enumerate(summary["breakage_list"], start=1)]
     return pd.DataFrame(found)

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from dslab.experiments.comparison.left_summary import read_summary
 from dslab.experiments.evaluation.metrics import PosePairs
 from dslab.experiments.result_folder import SUMMARY_FILE, TRUTH_FILE
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.input_files import read_json, read_text
+from dslab.scenarios.input_files import read_text
 from dslab.sim.io.truth import read_tum_poses
 
 _TOLERANCE_S = 1e-3
@@ -61,7 +62,7 @@ def read_run(folder: Path) -> LeftRun:
     Raises:
         InputError: it is not complete, or has no ground truth.
     """
-    summary = _summary(folder / SUMMARY_FILE)
+    summary = read_summary(folder)
     truth_file = folder / TRUTH_FILE
     if not truth_file.is_file():
         problem = f"holds no {TRUTH_FILE}: the sequence has no ground truth"
@@ -76,14 +77,6 @@ def read_run(folder: Path) -> LeftRun:
     placed = poses[frames] if poses is not None else np.zeros((0, 4, 4))
     pairs = PosePairs(frames, placed, truth[frames])
     return LeftRun(folder, summary["sequence"], summary["system"], stamps_s, truth, pairs, summary)
-
-
-def _summary(path: Path) -> dict[str, Any]:
-    summary = read_json(path, dict)
-    missing = [name for name in ("sequence", "system", "stages", "audit") if name not in summary]
-    if missing:
-        raise InputError(str(path), f"lacks {missing[0]}: it is no summary of a run", "run it again")
-    return summary
 
 
 def _stamps_s(path: Path) -> np.ndarray:

@@ -117,9 +117,35 @@ def test_what_is_no_run_is_one_line(runs, tmp_path, dslab):
     (tmp_path / "empty").mkdir()
     broken = tmp_path / "broken"
     broken.mkdir()
-    (broken / "summary.json").write_text('{"sequence": "s", "system": "base", "stages": {}, "audit": null}')
+    shutil.copy(runs / "a" / "summary.json", broken)
     for folder, says in ((tmp_path / "empty", "holds no summary.json"), (broken, "holds no groundtruth.txt")):
         code, _, err = dslab("compare", str(folder), "--out", str(tmp_path / "page"))
         assert code == 2 and says in err and err.count("\n") == 1
     with pytest.raises(InputError, match="empty"):
         compare_runs([runs], runs)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("frames", None),
+        ("sequence", ["a"]),
+        ("ate_m", "0.1"),
+        ("ate_m", -1.0),
+        ("path_share", 7.0),
+        ("breakages", 1.5),
+        ("stages", []),
+        ("stages", {"a\nb": {"frames": 3, "cpu_ms_median": 1e308}}),
+        ("audit", {}),
+        ("breakage_list", [{"frame": 3}]),
+    ],
+)
+def test_a_summary_that_was_damaged_is_one_line(runs, tmp_path, dslab, field, value):
+    shutil.copytree(runs / "c", tmp_path / "c")
+    path = tmp_path / "c" / "summary.json"
+    summary = json.loads(path.read_text())
+    path.write_text(json.dumps({name: v for name, v in (summary | {field: value}).items() if v is not None}))
+    code, _, err = dslab("compare", str(tmp_path / "c"), "--out", str(tmp_path / "page"))
+    assert (
+        code == 2 and err.count("\n") == 1 and f"{path}: {field}" in err and not (tmp_path / "page").exists()
+    )
