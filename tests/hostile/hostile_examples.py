@@ -282,10 +282,9 @@ EXAMPLES: dict[str, Example] = {
         Example(
             "table of an experiment",
             _exported,
-            ("experiment report {in}",),
+            ("experiment report {in}", "experiment status {in} --json"),
             ours=("*",),
-            optional=("trajectories.npz",),
-            fixed=("infrastructure_errors.parquet",),
+            optional=("trajectories.npz", "infrastructure_errors.parquet"),
             heavy=True,
         ),
         Example("result folder", _result, ("view {in}",), free=("*",), heavy=True),
