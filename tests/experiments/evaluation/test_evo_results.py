@@ -37,7 +37,10 @@ def run(tmp_path) -> Path:
     T[:, :3, :3] = R
     T[10:15] = np.nan
     (home / "trajectory.txt").write_text(tum_poses_text(stamps_s, T))
-    (home / "summary.json").write_text('{"sequence": "walk", "system": "dual", "stages": [], "audit": {}}')
+    figures = dict.fromkeys(("breakages", "path_share", "ate_m", "rpe", "cpu_ms_median", "audit"))
+    about = {"sequence": "walk", "system": "dual", "frames": COUNT, "declares": "events"}
+    summary = figures | about | {"stages": {}, "breakage_list": []}
+    (home / "summary.json").write_text(json.dumps(summary))
     return home
 
 
