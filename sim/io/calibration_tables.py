@@ -25,7 +25,7 @@ from dslab.sim.sensors.camera import DISTORTION_KEYS
 KITTI_FPS = 10.0
 """Images per second of the data set."""
 _PROJECTION = r"P\d|P_rect_\d\d"
-_COLMAP_MODELS = {
+COLMAP_MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
     "PINHOLE": "fx fy cx cy",
     "SIMPLE_RADIAL": "f cx cy k1",
@@ -37,6 +37,7 @@ _COLMAP_MODELS = {
     "SIMPLE_RADIAL_FISHEYE": "f cx cy k1",
     "RADIAL_FISHEYE": "f cx cy k1 k2",
 }
+"""Parameters of COLMAP's models, which stand in the order of their numbers."""
 _DSO_MODELS = {
     **dict.fromkeys(("pinhole", "fov", "atan"), "fx fy cx cy omega"),
     **dict.fromkeys(("equidistant", "kannalabrandt"), "fx fy cx cy k1 k2 k3 k4"),
@@ -46,11 +47,19 @@ _DSO_MODELS = {
 
 def _colmap(path: Path, name: str) -> Calibration:
     rows = {words[0]: (where, words[1], words[2:]) for where, words in read_rows(path, "") if len(words) > 4}
-    where, kind, words = rows[chosen(str(path), name, list(rows), alone=True)]
-    if kind not in _COLMAP_MODELS:
+    return colmap_camera(*rows[chosen(str(path), name, list(rows), alone=True)])
+
+
+def colmap_camera(where: str, kind: str, words: list[str]) -> Calibration:
+    """A camera of COLMAP by its model's name, and width, height and parameters.
+
+    Raises:
+        InputError: the model is not supported, or has other parameters.
+    """
+    if kind not in COLMAP_MODELS:
         lens_model(where, kind)
-        raise InputError(where, f"{kind!r} is no known lens model", f"use {', '.join(_COLMAP_MODELS)}")
-    names = ["width", "height", *_COLMAP_MODELS[kind].split()]
+        raise InputError(where, f"{kind!r} is no known lens model", f"use {', '.join(COLMAP_MODELS)}")
+    names = ["width", "height", *COLMAP_MODELS[kind].split()]
     check_words(where, words, names)
     values = dict(zip(names, to_numbers(where, words, names), strict=True))
     size = whole(where, values["width"], values["height"])

@@ -185,7 +185,8 @@ def euroc_sensor(fields: Fields, name: str = "") -> Calibration:
     return Calibration("", (fx, fy), (cx, cy), **lens, size_px=size, fps=fields.maybe("rate_hz"))
 
 
-def _transforms(fields: Fields, name: str) -> Calibration:
+def transforms_camera(fields: Fields, name: str = "") -> Calibration:
+    """The one camera of a transforms.json."""
     listed = fields.data.get("frames", [])
     frames = [f for f in listed if isinstance(f, Mapping)] if isinstance(listed, list) else []
     if len({repr([f.get(k) for k in _OF_A_FRAME]) for f in frames}) > 1:
@@ -206,9 +207,9 @@ def _transforms(fields: Fields, name: str) -> Calibration:
     model = lens_model(f"{fields.where}: camera_model", fields.word("camera_model", default="OPENCV"))
     given = [fields.maybe(key) or 0.0 for key in DISTORTION_KEYS[model]]
     lens = lens_of(fields.where, model, given)
-    return Calibration(
-        "", (fx, fy), (cx - CORNER, cy - CORNER), **lens, size_px=size, fps=fields.maybe("fps")
-    )
+    centre = (cx - CORNER, cy - CORNER)
+    fps = fields.maybe("fps")
+    return Calibration("nerfstudio transforms", (fx, fy), centre, **lens, size_px=size, fps=fps)
 
 
 _OF_A_FRAME = ("fl_x", "fl_y", "cx", "cy", "w", "h")
@@ -256,7 +257,11 @@ _FORMS: tuple[tuple[str, Callable[[Mapping[Any, Any]], bool], Callable[[Fields, 
     ("stella_vslam settings", lambda data: isinstance(data.get("Camera"), Mapping), _stella),
     ("VINS settings", lambda data: "projection_parameters" in data or "mirror_parameters" in data, _vins),
     ("EuRoC sensor.yaml", lambda data: "intrinsics" in data and "resolution" in data, euroc_sensor),
-    ("nerfstudio transforms", lambda data: _has(data, ("fl_x", "camera_angle_x", "frames")), _transforms),
+    (
+        "nerfstudio transforms",
+        lambda data: _has(data, ("fl_x", "camera_angle_x", "frames")),
+        transforms_camera,
+    ),
     (
         "ROS camera_info",
         lambda data: "distortion_model" in data and _has(data, ("camera_matrix", "K", "k")),

@@ -3,15 +3,17 @@
 from collections.abc import Callable
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder, is_given
-from dslab.sim.io import euroc, kitti, layout, tartanair, tum, tum_mono, vslam_lab
+from dslab.sim.io import euroc, kitti, layout, reconstructions, tartanair, tum, tum_mono, vslam_lab
 from dslab.sim.io.clock import origin_ns
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
+from dslab.sim.io.posed_images import LAYOUTS, load_layout
 from dslab.sim.io.truth import half_interval_s, read_tum_poses
 from dslab.sim.io.video import is_video, load_video
 from dslab.sim.io.wide_lens import rectified_if_wide
@@ -28,12 +30,16 @@ class Form(StrEnum):
     TUM_MONO = "tum-mono"
     VSLAM_LAB = "vslam-lab"
     TARTANAIR = "tartanair"
+    SEVEN_SCENES = "7-scenes"
+    ICL_NUIM = "icl-nuim"
+    SCANNET = "scannet"
+    REPLICA = "replica"
+    NERFSTUDIO = "nerfstudio"
+    COLMAP = "colmap"
 
 
 TruthForm = Literal["tum", "kitti", "euroc"]
 """The forms of files of true poses."""
-READ_ONLY = (Form.TUM_MONO, Form.TARTANAIR)
-"""The forms that are not written."""
 WITH_DEPTH = (Form.TUM, Form.VSLAM_LAB)
 """The forms that are written with depth images if wanted."""
 
@@ -46,11 +52,29 @@ _LOADERS = {
     Form.VSLAM_LAB: vslam_lab.load_vslam_lab,
     Form.TARTANAIR: tartanair.load_tartanair,
 }
+# Whose intrinsics a calibration from elsewhere may replace.
+_POSED: dict[Form, Callable[..., Sequence]] = {
+    **{Form(name): partial(load_layout, form) for name, form in LAYOUTS.items()},
+    Form.NERFSTUDIO: reconstructions.load_transforms,
+    Form.COLMAP: reconstructions.load_colmap,
+}
 _WRITERS: dict[Form, Callable[..., None]] = {
     Form.TUM: tum.write_tum,
     Form.KITTI: kitti.write_kitti,
     Form.EUROC: euroc.write_euroc,
     Form.VSLAM_LAB: vslam_lab.write_vslam_lab,
+}
+READ_ONLY = tuple(form for form in Form if form not in _WRITERS)
+"""The forms that are not written."""
+# Names of files and folders that no form further down has.
+_MARKS: dict[Form, tuple[str, ...]] = {
+    Form.VSLAM_LAB: (vslam_lab.FRAMES_FILE, vslam_lab.IMAGES_DIR),
+    Form.TARTANAIR: tuple(name for v in tartanair.VERSIONS for name in (v.images, v.poses)),
+    Form.TUM: (layout.FRAMES_FILE,),
+    Form.EUROC: (euroc.CAMERA_DIR, f"cam0/{euroc.TABLE_FILE}", euroc.TABLE_FILE),
+    Form.KITTI: (*kitti.IMAGES_DIRS, *kitti.RAW_DIRS),
+    Form.TUM_MONO: (tum_mono.CAMERA_FILE, tum_mono.IMAGES_ZIP),
+    Form.NERFSTUDIO: (reconstructions.TRANSFORMS_FILE,),
 }
 
 
@@ -63,24 +87,29 @@ def detect_form(folder: Path) -> Form:
     if not is_folder(folder):
         problem = "is no folder" if is_given(folder) else "no such folder"
         raise InputError(str(folder), problem, "give a folder with rgb.txt, camera.yaml and images")
-    marks = {
-        Form.VSLAM_LAB: (vslam_lab.FRAMES_FILE, vslam_lab.IMAGES_DIR),
-        # Before the TUM form, as it may have a camera.yaml too.
-        Form.TARTANAIR: tuple(name for v in tartanair.VERSIONS for name in (v.images, v.poses)),
-        Form.TUM: (layout.FRAMES_FILE, layout.CAMERA_FILE),
-        Form.EUROC: (euroc.CAMERA_DIR, f"cam0/{euroc.TABLE_FILE}", euroc.TABLE_FILE),
-        Form.KITTI: (*kitti.IMAGES_DIRS, *kitti.RAW_DIRS),
-        Form.TUM_MONO: (tum_mono.CAMERA_FILE, tum_mono.IMAGES_ZIP),
-    }
-    for form, names in marks.items():
-        if any(is_given(folder / name) for name in names):
-            return form
+    form = _form_of(folder)
+    if form is not None:
+        return form
     known = (
         "rgb.txt and camera.yaml (TUM), image_0 or image_2 (KITTI), mav0/cam0 (EuRoC), "
-        "images and camera.txt (TUM-mono), rgb_0 and rgb.csv (VSLAM-LAB), or image_left (TartanAir); "
+        "images and camera.txt (TUM-mono), rgb_0 and rgb.csv (VSLAM-LAB), image_left (TartanAir), "
+        "transforms.json, or sparse/0 and images (COLMAP); "
         "or add --camera FILE for a folder of images"
     )
     raise InputError(str(folder), "holds no sequence of a known form", f"give a folder with {known}")
+
+
+def _form_of(folder: Path) -> Form | None:
+    for form, names in _MARKS.items():
+        if any(is_given(folder / name) for name in names):
+            return form
+    if not is_folder(folder):
+        return None
+    if reconstructions.model_folder(folder) is not None:
+        return Form.COLMAP
+    fits = (Form(name) for name, form in LAYOUTS.items() if form.fits(folder))
+    # Any of the others may have a camera.yaml too.
+    return next(fits, Form.TUM if is_given(folder / layout.CAMERA_FILE) else None)
 
 
 def sequence_folder(path: Path) -> Path:
@@ -101,7 +130,8 @@ def load_sequence(
     Args:
         path: the folder; for the EuRoC form, ``mav0`` may be given too. With ``camera`` a folder of images
             without any list, or a video file.
-        camera: calibration of images or a video; see ``sim.io.camera_file.read_camera``.
+        camera: calibration of images or a video, or in the place of that of a folder of images with poses
+            (7-Scenes to COLMAP); see ``sim.io.camera_file.read_camera``.
         progress: called with (step, frames done, frames in all) while a video is decoded.
         force: decode a video even if its frames seem too many for the disk.
         truth: file of true poses, camera to world, in the place of the sequence's own.
@@ -114,8 +144,11 @@ def load_sequence(
     """
     if camera is None and is_video(path) and not is_folder(path):
         raise InputError(str(path), "a video says nothing of its camera", "add its intrinsics: --camera FILE")
-    if camera is None:
-        folder = sequence_folder(Path(path))
+    folder = sequence_folder(Path(path))
+    posed = _POSED.get(_form_of(folder) or Form.TUM)
+    if posed is not None:
+        sequence = posed(folder, None if camera is None else Path(camera))
+    elif camera is None:
         sequence = _LOADERS[detect_form(folder)](folder)
     elif is_video(path):
         sequence = load_video(Path(path), Path(camera), progress=progress, force=force)

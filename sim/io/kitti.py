@@ -36,7 +36,7 @@ from dslab.sim.io.text import (
     to_decimal,
     to_numbers,
 )
-from dslab.sim.io.truth import check_position, is_rotation
+from dslab.sim.io.truth import check_rigid
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import Sequence
 
@@ -207,9 +207,7 @@ def read_kitti_poses(path: Path, frames: int, last: int) -> np.ndarray:
     for where, words in read_rows(path, ""):
         check_words(where, words, _POSE_NAMES)
         pose = np.reshape(to_numbers(where, words, _POSE_NAMES), (3, 4))
-        if not is_rotation(pose[:, :3]):
-            raise InputError(where, "is no rotation and translation", "write the rows of [R t]")
-        check_position(where, pose[:, 3])
+        check_rigid(where, pose)
         rows.append(pose)
     if frames < len(rows) and last < len(rows):
         lines = f"{last - frames + 2} to {last + 1}"

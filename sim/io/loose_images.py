@@ -33,7 +33,7 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
     if not is_folder(folder):
         problem = "is no folder" if is_given(folder) else "no such folder"
         raise InputError(str(folder), problem, "give a folder of images, or a video file")
-    names = sorted((name for name in file_names(folder) if name.lower().endswith(SUFFIXES)), key=_order)
+    names = sorted((name for name in file_names(folder) if name.lower().endswith(SUFFIXES)), key=name_order)
     if not names:
         raise InputError(str(folder), "holds no image", f"give a folder with {', '.join(SUFFIXES)}")
     _check_one_kind(folder, names)
@@ -57,7 +57,7 @@ def load_images(folder: Path, camera_file: Path) -> Sequence:
 
 def _check_one_kind(folder: Path, names: list[str]) -> None:
     """Raise InputError for as many images of one name as of another: of two cameras, depth, masks."""
-    counts = Counter(re.sub(r"[0-9]+", "#", name) for name in names)
+    counts = Counter(map(kind_of_name, names))
     numbers = list(counts.values())
     several = [(name, count) for name, count in counts.items() if numbers.count(count) > 1 and count > 1]
     if several:
@@ -67,7 +67,12 @@ def _check_one_kind(folder: Path, names: list[str]) -> None:
         )
 
 
-def _order(name: str) -> tuple[list[tuple[int, int, str]], str]:
+def kind_of_name(name: str) -> str:
+    """A name with a mark for each number: images of one camera have one."""
+    return re.sub(r"[0-9]+", "#", name)
+
+
+def name_order(name: str) -> tuple[list[tuple[int, int, str]], str]:
     """Key of a name: `frame9` comes before `frame10`."""
     parts = re.findall(r"[0-9]+|[^0-9]+", name)
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts], name

@@ -79,6 +79,13 @@ def is_rotation(R: np.ndarray) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() <= _MOST_SKEW and np.linalg.det(R) > 0)
 
 
+def check_rigid(where: str, T: np.ndarray) -> None:
+    """Raise InputError unless (3, 4) or (4, 4) rows are a rotation and a translation in metres."""
+    if not is_rotation(T[:3, :3]) or (len(T) > 3 and list(T[3]) != [0, 0, 0, 1]):
+        raise InputError(where, "is no rotation and translation", "write the rows of [R t]")
+    check_position(where, T[:3, 3])
+
+
 def check_position(where: str, position_m: Iterable[float]) -> None:
     """Raise InputError for a position that cannot be one in metres."""
     for value in position_m:
