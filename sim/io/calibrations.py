@@ -129,7 +129,7 @@ def _kalibr(fields: Fields, name: str) -> Calibration:
 
 
 def _orb_slam(fields: Fields, name: str) -> Calibration:
-    first = [f"Camera{n}." for n in ("", "1") if f"Camera{n}.fx" in fields.data]
+    first = [f"Camera{n}." for n in ("", "0", "1") if f"Camera{n}.fx" in fields.data]
     prefix = f"{name}." if name else first[0] if first else "Camera."
     own = Fields(
         fields.where,
@@ -155,7 +155,7 @@ def _by_names(own: Fields, model: LensModel, general: Fields) -> Calibration:
         (own.number("fx"), own.number("fy")),
         (own.number("cx"), own.number("cy")),
         **lens_of(own.where, model, given),
-        size_px=general.size(("width", "height"), ("cols", "rows")),
+        size_px=general.size(("width", "height"), ("cols", "rows"), ("w", "h")),
         fps=general.maybe("fps"),
     )
 

@@ -44,20 +44,19 @@ WITH_DEPTH = (Form.TUM, Form.VSLAM_LAB)
 """The forms that are written with depth images if wanted."""
 
 
-_LOADERS = {
+_LOADERS: dict[Form, Callable[..., Sequence]] = {
     Form.TUM: tum.load_tum,
     Form.KITTI: kitti.load_kitti,
     Form.EUROC: euroc.load_euroc,
     Form.TUM_MONO: tum_mono.load_tum_mono,
     Form.VSLAM_LAB: vslam_lab.load_vslam_lab,
     Form.TARTANAIR: tartanair.load_tartanair,
-}
-# Whose intrinsics a calibration from elsewhere may replace.
-_POSED: dict[Form, Callable[..., Sequence]] = {
     **{Form(name): partial(load_layout, form) for name, form in LAYOUTS.items()},
     Form.NERFSTUDIO: reconstructions.load_transforms,
     Form.COLMAP: reconstructions.load_colmap,
 }
+_ANY_CAMERA = (Form.TUM, *map(Form, LAYOUTS), Form.NERFSTUDIO, Form.COLMAP)
+"""The forms whose intrinsics a calibration from elsewhere may replace."""
 _WRITERS: dict[Form, Callable[..., None]] = {
     Form.TUM: tum.write_tum,
     Form.KITTI: kitti.write_kitti,
@@ -130,8 +129,8 @@ def load_sequence(
     Args:
         path: the folder; for the EuRoC form, ``mav0`` may be given too. With ``camera`` a folder of images
             without any list, or a video file.
-        camera: calibration of images or a video, or in the place of that of a folder of images with poses
-            (7-Scenes to COLMAP); see ``sim.io.camera_file.read_camera``.
+        camera: calibration of images or a video, or in the place of that of a folder in TUM's form or of
+            images without times; see ``sim.io.camera_file.read_camera``.
         progress: called with (step, frames done, frames in all) while a video is decoded.
         force: decode a video even if its frames seem too many for the disk.
         truth: file of true poses, camera to world, in the place of the sequence's own.
@@ -145,9 +144,11 @@ def load_sequence(
     if camera is None and is_video(path) and not is_folder(path):
         raise InputError(str(path), "a video says nothing of its camera", "add its intrinsics: --camera FILE")
     folder = sequence_folder(Path(path))
-    posed = _POSED.get(_form_of(folder) or Form.TUM)
-    if posed is not None:
-        sequence = posed(folder, None if camera is None else Path(camera))
+    form = _form_of(folder)
+    # Images may be of any place, that of a camera.yaml too.
+    listed = form in _ANY_CAMERA and (form is not Form.TUM or is_given(folder / layout.FRAMES_FILE))
+    if camera is not None and form is not None and listed:
+        sequence = _LOADERS[form](folder, Path(camera))
     elif camera is None:
         sequence = _LOADERS[detect_form(folder)](folder)
     elif is_video(path):

@@ -13,6 +13,7 @@ All but the images, ``rgb.txt`` and ``camera.yaml`` may be absent.
 
 FRAMES_FILE = "rgb.txt"
 CAMERA_FILE = "camera.yaml"
+CALIBRATION_FILE = "calibration.yaml"
 TRUTH_FILE = "groundtruth.txt"
 DEPTH_FILE = "depth.txt"
 SEGMENTS_FILE = "segments.json"

@@ -10,7 +10,7 @@ from dslab.sim.io import layout
 from dslab.sim.io.camera_file import read_camera, write_camera
 from dslab.sim.io.clock import held_stamps, written_seconds
 from dslab.sim.io.folders import Progress, new_directory, write_images
-from dslab.sim.io.images import DepthFolder, GrayFolder
+from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import check_present, read_list, to_decimal
 from dslab.sim.io.truth import half_interval_s, nearest, read_tum_poses, tum_poses_text
@@ -18,17 +18,20 @@ from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import FrameSource, Sequence
 
 
-def load_tum(folder: Path) -> Sequence:
+def load_tum(folder: Path, camera_file: Path | None = None) -> Sequence:
     """Read a sequence from a TUM-form folder; see ``sim.io.layout``. Errors as of ``load_sequence``.
 
-    The existence of every image is checked now, its content when the frame is read. Ground truth and depth
-    images are assigned to frames within half a frame interval, without interpolation; a frame without a depth
-    image has depth 0 (unknown) everywhere.
+    Its camera may be given, or be a calibration.yaml, as VSLAM-LAB had it beside these lists. The existence
+    of every image is checked now, its content when the frame is read. Ground truth and depth images are assigned
+    to frames within half a frame interval, without interpolation; a frame without a depth image has depth 0
+    (unknown) everywhere.
     """
-    camera = read_camera(folder / layout.CAMERA_FILE)
     stamps_s, stamps_ns, images = _read_list(folder / layout.FRAMES_FILE)
+    path = camera_file or _camera_file(folder)
+    rate = round(1 / float(np.median(np.diff(stamps_s))), 4) if len(stamps_s) > 1 else None
+    camera = read_camera(path, image_shape(images[0])[::-1], rate)
     _check_unit(f"{folder / layout.FRAMES_FILE}: stamp", stamps_s, camera.fps)
-    frames = GrayFolder(images, (camera.height_px, camera.width_px))
+    frames = GrayFolder(images, (camera.height_px, camera.width_px), path.name)
     tolerance_s = half_interval_s(stamps_s, camera.fps)
     return Sequence(
         camera=camera,
@@ -39,6 +42,15 @@ def load_tum(folder: Path) -> Sequence:
         stamps_ns=stamps_ns,
         **read_sidecars(folder, len(stamps_s)),
     )
+
+
+def _camera_file(folder: Path) -> Path:
+    names = (layout.CAMERA_FILE, layout.CALIBRATION_FILE)
+    path = next((folder / name for name in names if is_given(folder / name)), None)
+    if path is None:
+        remedy = "add --camera FILE, or a calibration under this name"
+        raise InputError(str(folder / layout.CAMERA_FILE), "no such file", remedy)
+    return path
 
 
 def _check_unit(where: str, stamps_s: np.ndarray, fps: float) -> None:

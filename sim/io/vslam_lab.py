@@ -8,6 +8,9 @@
                         distortion; depth_factor, codes per metre, where there are depth images
     groundtruth.csv     `ts (ns),tx (m),ty (m),tz (m),qx,qy,qz,qw`: pose of that camera in the world
 
+Earlier folders have stamps in seconds, `ts_rgb0 (s),path_rgb0` and `ts`, settings of ORB-SLAM as their
+calibration, and perhaps a ``groundtruth.txt`` of the TUM form. Those with ``rgb.txt`` are ``sim.io.tum``'s.
+
 ``groundtruth.csv`` may be absent or hold its header only. ``T_BS``, the place of a camera on its body, is not
 used: true poses are the camera's. Source: github.com/VSLAM-LAB/VSLAM-LAB.
 """
@@ -23,21 +26,23 @@ from scipy.spatial.transform import Rotation
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given
 from dslab.scenarios.yaml_file import read_yaml
-from dslab.sim.io.camera_file import check_camera, whole_size
+from dslab.sim.io.camera_file import check_camera, read_camera, whole_size
 from dslab.sim.io.clock import choose_origin_ns, to_seconds, written_ns
 from dslab.sim.io.folders import Progress, new_directory, write_images
-from dslab.sim.io.images import DepthFolder, GrayFolder
-from dslab.sim.io.layout import DEPTH_PER_M
+from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape
+from dslab.sim.io.layout import CALIBRATION_FILE, DEPTH_PER_M
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import (
     check_frames,
     check_order,
     check_present,
     check_words,
+    data_rows,
     number_at,
     numbers_at,
     read_rows,
     stamped_numbers,
+    to_decimal,
     to_nanoseconds,
 )
 from dslab.sim.io.truth import check_pose, half_interval_s, nearest_poses, poses_of
@@ -46,11 +51,15 @@ from dslab.sim.sensors.camera import DISTORTION_KEYS, Intrinsics
 from dslab.sim.sequence import Sequence
 
 IMAGES_DIR, FRAMES_FILE = "rgb_0", "rgb.csv"
-_CALIBRATION_FILE, _TRUTH_FILE = "calibration.yaml", "groundtruth.csv"
+_TRUTH_FILE, _EARLIER_TRUTH = "groundtruth.csv", "groundtruth.txt"
 _DEPTH_DIR = "depth_0"
 
 _STAMP, _PATH, _DEPTH_PATH = "ts_rgb_0 (ns)", "path_rgb_0", "path_depth_0"
 _DEPTH_STAMP = "ts_depth_0 (ns)"
+# Names in earlier folders.
+_SECONDS = "ts_rgb_0 (s)"
+_EARLIER_POSE_COLUMNS = ["ts", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
+_EARLIER = {"ts_rgb0 (s)": _SECONDS, "path_rgb0": _PATH, "path_depth0": _DEPTH_PATH}
 _POSE_COLUMNS = ["ts (ns)", "tx (m)", "ty (m)", "tz (m)", "qx", "qy", "qz", "qw"]
 
 # Lens model and number of coefficients of each ``distortion_type``.
@@ -70,24 +79,24 @@ def load_vslam_lab(folder: Path) -> Sequence:
 
     Errors as of ``load_sequence``.
     """
-    camera, depth_per_m = _read_camera(folder / _CALIBRATION_FILE)
     stamps, names, depth_names = _read_frames(folder / FRAMES_FILE)
     origin = choose_origin_ns(stamps)
     stamps_s = to_seconds(stamps, origin)
+    camera, depth_per_m = _read_camera(folder / CALIBRATION_FILE, folder / names[0])
     shape = (camera.height_px, camera.width_px)
-    frames = GrayFolder([folder / name for name in names], shape, _CALIBRATION_FILE)
+    frames = GrayFolder([folder / name for name in names], shape, CALIBRATION_FILE)
     sidecars = read_sidecars(folder, len(stamps), origin)
     depths = None
     if depth_per_m is not None and any(depth_names):
         paths = [folder / name if name else None for name in depth_names]
         check_present([path for path in paths if path is not None], FRAMES_FILE)
-        depths = DepthFolder(paths, shape, depth_per_m, _CALIBRATION_FILE)
+        depths = DepthFolder(paths, shape, depth_per_m, CALIBRATION_FILE)
     tolerance_s = half_interval_s(stamps_s, camera.fps)
     return Sequence(
         camera=camera,
         stamps_s=stamps_s,
         frames=frames,
-        T_world_cam=_read_truth(folder / _TRUTH_FILE, origin, stamps_s, tolerance_s),
+        T_world_cam=_read_truth(folder, origin, stamps_s, tolerance_s),
         depths=depths,
         image_names=tuple(names),
         **sidecars,
@@ -98,18 +107,20 @@ def _read_frames(path: Path) -> tuple[list[int], list[str], list[str]]:
     """Stamps in nanoseconds, image paths, and paths of depth images, empty where there is none."""
     rows = read_rows(path, _CSV_REMEDY, ",")
     where, header = next(rows, (str(path), []))
-    for name in (_STAMP, _PATH):
+    header = [_EARLIER.get(name, name) for name in header]
+    stamp_name, to_ns = (_SECONDS, _of_seconds) if _SECONDS in header else (_STAMP, _to_ns)
+    for name in (stamp_name, _PATH):
         if header.count(name) != 1:
             found = ",".join(header) or "an empty file"
             raise InputError(f"{where}: {name}", f"is no column of {found}", _CSV_REMEDY)
-    stamp_at, path_at = header.index(_STAMP), header.index(_PATH)
+    stamp_at, path_at = header.index(stamp_name), header.index(_PATH)
     depth_at = header.index(_DEPTH_PATH) if _DEPTH_PATH in header else None
     stamps: list[int] = []
     names: list[str] = []
     depth_names: list[str] = []
     for where, words in rows:
         check_words(where, words, header)
-        stamp = _to_ns(where, words[stamp_at])
+        stamp = to_ns(where, words[stamp_at])
         check_order(where, stamps, stamp)
         if not words[path_at]:
             raise InputError(f"{where}: {_PATH}", "is empty", "name the image of this frame")
@@ -126,9 +137,16 @@ def _to_ns(where: str, word: str) -> int:
     return round(Decimal(word)) if _AS_FLOAT.fullmatch(word) else to_nanoseconds(where, word)
 
 
-def _read_camera(path: Path) -> tuple[Intrinsics, float | None]:
+def _of_seconds(where: str, word: str) -> int:
+    """A stamp in seconds, as whole nanoseconds."""
+    return round(to_decimal(where, word).scaleb(9))
+
+
+def _read_camera(path: Path, image: Path) -> tuple[Intrinsics, float | None]:
     """Intrinsics of the first camera, and codes per metre of its depth images; None without them."""
     data = read_yaml(path, "calibration", _EXAMPLE, f"add it with {_EXAMPLE}").data
+    if any(str(key).startswith("Camera") for key in data):
+        return read_camera(path, image_shape(image)[::-1]), None
     cameras = data.get("cameras")
     entries = [entry for entry in cameras if isinstance(entry, dict)] if isinstance(cameras, list) else []
     named = [entry for entry in entries if entry.get("cam_name") == IMAGES_DIR]
@@ -168,16 +186,22 @@ def _lens(where: str, entry: dict[Any, Any]) -> tuple[Any, tuple[float, ...]]:
     return model, (*given, *[0.0] * (len(DISTORTION_KEYS[model]) - count))
 
 
-def _read_truth(path: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
+def _read_truth(folder: Path, origin: int, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
     """(N, 4, 4) camera to world at the frames; None without the file or without a pose in it."""
-    if not is_given(path):
+    path = folder / _TRUTH_FILE
+    if is_given(path):
+        rows = read_rows(path, "", ",")
+        where, header = next(rows, (str(path), []))
+        to_ns = _to_ns if header[:1] == _POSE_COLUMNS[:1] else _of_seconds
+        if header not in (_POSE_COLUMNS, _EARLIER_POSE_COLUMNS):
+            problem = f"{','.join(header) or 'an empty file'} is not the header of true poses"
+            raise InputError(where, problem, f"write {','.join(_POSE_COLUMNS)}, or delete the file")
+    elif is_given(folder / _EARLIER_TRUTH):
+        path, to_ns = folder / _EARLIER_TRUTH, _of_seconds
+        rows = data_rows(path, read_rows(path, ""))
+    else:
         return None
-    rows = read_rows(path, "", ",")
-    where, header = next(rows, (str(path), []))
-    if header != _POSE_COLUMNS:
-        problem = f"{','.join(header) or 'an empty file'} is not the header of true poses"
-        raise InputError(where, problem, f"write {','.join(_POSE_COLUMNS)}, or delete the file")
-    stamps, table = stamped_numbers(rows, _POSE_COLUMNS, _to_ns, check_pose)
+    stamps, table = stamped_numbers(rows, _POSE_COLUMNS, to_ns, check_pose)
     if not stamps:
         return None
     known = poses_of(table[:, :3], table[:, 3:])
@@ -210,7 +234,7 @@ def write_vslam_lab(
             columns |= {_DEPTH_PATH: [f"{_DEPTH_DIR}/{name}" for name in names]}
         rows = list(zip(*columns.values(), strict=True))
         (folder / FRAMES_FILE).write_text(_table(list(columns), rows))
-        (folder / _CALIBRATION_FILE).write_text(_calibration(sequence.camera, depth))
+        (folder / CALIBRATION_FILE).write_text(_calibration(sequence.camera, depth))
         (folder / _TRUTH_FILE).write_text(_truth(sequence, stamps))
         write_sidecars(sequence, folder)
 

@@ -52,6 +52,17 @@ def test_the_files_are_the_stated_ones_in_tum_order(folder):
     assert json.loads((folder / "segments.json").read_text())[0]["first_frame"] == 2
 
 
+def test_a_calibration_from_elsewhere_stands_for_camera_yaml(folder, tmp_path):
+    """The data set's own folders have none; the settings say neither size nor rate."""
+    (folder / "camera.yaml").unlink()
+    settings = tmp_path / "TUM1.yaml"
+    settings.write_text("%YAML:1.0\nCamera.fx: 50.5\nCamera.fy: 51\nCamera.cx: 30\nCamera.cy: 20\n")
+    read = load_sequence(folder, settings)
+    assert read.camera == Intrinsics(64, 48, 50.5, 51, 30, 20, 30.0) and len(read.depths) == COUNT
+    with pytest.raises(InputError, match=r"camera\.yaml: no such file; add --camera FILE"):
+        load_sequence(folder)
+
+
 def test_depth_beyond_the_code_is_unknown(tmp_path):
     sequence = make_sequence()
     sequence.depths[0][:] = 20.0

@@ -90,6 +90,35 @@ def test_depth_has_the_factor_of_the_calibration(folder):
     assert (depths[0] == 2.5).all() and (depths[1] == 0).all()
 
 
+@pytest.mark.parametrize("kind", ["csv", "txt"])
+def test_earlier_folders_are_read(folder, kind):
+    """Stamps in seconds and settings of ORB-SLAM; lists with commas or of the TUM form."""
+    new = load_sequence(folder)
+    third = new.frames[3]
+    stamps = [f"{(ORIGIN + 50_000_000 * index) / 1e9:.6f}" for index in range(COUNT)]
+    poses = [f"{stamp},{index},0.5,-1.25,0.0,0.0,0.6,0.8" for index, stamp in enumerate(stamps)]
+    rows = [f"{stamp},{name}" for stamp, name in zip(stamps, new.image_names, strict=True)]
+    for name in ("rgb.csv", "groundtruth.csv"):
+        (folder / name).unlink()
+    if kind == "csv":
+        (folder / "rgb.csv").write_text("\n".join(["ts_rgb0 (s),path_rgb0", *rows]))
+        (folder / "groundtruth.csv").write_text("\n".join(["ts,tx,ty,tz,qx,qy,qz,qw", *poses]))
+    else:
+        (folder / "rgb_0").rename(folder / "rgb")
+        (folder / "rgb.txt").write_text("\n".join(rows).replace(",", " ").replace("rgb_0/", "rgb/"))
+        (folder / "groundtruth.txt").write_text("\n".join(poses).replace(",", " "))
+    lines = ["%YAML:1.0", "Camera.fx: 58.6", "Camera.fy: 57.2", "Camera.cx: 36.7", "Camera.cy: 24.8"]
+    lines += ["Camera.k1: -0.28", "Camera.k2: 0.07", "Camera.p1: 0.0002", "Camera.p2: 1.76e-05"]
+    (folder / "calibration.yaml").write_text(
+        "\n".join([*lines, "Camera.w: 64", "Camera.h: 48", "Camera.fps: 20"])
+    )
+    read = load_sequence(folder)
+    assert read.camera == new.camera
+    np.testing.assert_allclose(np.diff(read.stamps_s), 0.05, atol=2e-6)
+    np.testing.assert_allclose(read.T_world_cam, new.T_world_cam, atol=1e-9)
+    np.testing.assert_array_equal(read.frames[3], third)
+
+
 @pytest.mark.parametrize("truth", ["header only", "absent"])
 def test_a_folder_without_truth_is_read(folder, truth):
     path = folder / "groundtruth.csv"
