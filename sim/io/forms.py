@@ -14,7 +14,7 @@ from dslab.sim.io.clock import origin_ns
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
 from dslab.sim.io.posed_images import LAYOUTS, load_layout
-from dslab.sim.io.truth import half_interval_s, read_tum_poses
+from dslab.sim.io.truth import half_interval_s, read_tum_poses, told_coverage
 from dslab.sim.io.video import is_video, load_video
 from dslab.sim.io.wide_lens import rectified_if_wide
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
@@ -134,7 +134,8 @@ def load_sequence(
         progress: called with (step, frames done, frames in all) while a video is decoded.
         force: decode a video even if its frames seem too many for the disk.
         truth: file of true poses, camera to world, in the place of the sequence's own.
-        truth_form: ``tum`` and ``euroc`` on the clock of the frames, ``kitti`` with a line per frame.
+        truth_form: ``tum`` and ``euroc`` on the clock of the frames, or ``tum`` on that of EuRoC's stamps,
+            ``kitti`` with a line per frame.
 
     Raises:
         InputError: the folder does not exist or has no known form, or a file of it is missing, empty, cut
@@ -156,7 +157,10 @@ def load_sequence(
     else:
         sequence = load_images(Path(path), Path(camera))
     sequence = rectified_if_wide(str(path), sequence)
-    return sequence if truth is None else with_truth(sequence, Path(truth), truth_form)
+    if truth is not None:
+        sequence = with_truth(sequence, Path(truth), truth_form)
+    T = told_coverage(str(truth or path), sequence.stamps_s, sequence.T_world_cam)
+    return sequence if T is sequence.T_world_cam else replace(sequence, T_world_cam=T)
 
 
 def with_truth(sequence: Sequence, path: Path, form: TruthForm) -> Sequence:
@@ -170,7 +174,7 @@ def with_truth(sequence: Sequence, path: Path, form: TruthForm) -> Sequence:
     elif form == "euroc":
         T = euroc.read_euroc_poses(path, origin_ns(sequence), stamps_s, tolerance_s)
     else:
-        T = read_tum_poses(path, stamps_s, tolerance_s)
+        T = read_tum_poses(path, stamps_s, tolerance_s, origin_ns(sequence) / 1e9)
     return replace(sequence, T_world_cam=T)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, notice
 from dslab.scenarios.input_files import is_given
 from dslab.sim.io.text import check_order, check_words, data_rows, read_rows, to_numbers, to_stamp
 
@@ -15,10 +15,14 @@ from dslab.sim.io.text import check_order, check_words, data_rows, read_rows, to
 MOST_POSITION_M = 1e9
 """Largest coordinate that is read, of a truth or of a path that the lab has written."""
 _MOST_SKEW = 1e-2
+# Motion capture misses some frames of every recording.
+_LEAST_COVERED = 0.9
 _TUM_NAMES = ["stamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
 
 
-def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray | None:
+def read_tum_poses(
+    path: Path, stamps_s: np.ndarray, tolerance_s: float, origin_s: float = 0.0
+) -> np.ndarray | None:
     """Read the frames' poses from a file of ``stamp tx ty tz qx qy qz qw``.
 
     A pose with nan counts as none: TUM-mono marks frames outside motion capture so.
@@ -27,6 +31,7 @@ def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.n
         path: the file.
         stamps_s: (N,) stamps of the frames.
         tolerance_s: largest time between a frame and its pose.
+        origin_s: time of the file's clock at 0 s of the frames', for a file that only begins after these.
 
     Returns:
         (N, 4, 4), NaN where no pose lies within the tolerance; None without the file.
@@ -49,7 +54,8 @@ def read_tum_poses(path: Path, stamps_s: np.ndarray, tolerance_s: float) -> np.n
         raise InputError(str(path), "holds no pose", "add poses, or delete it to run without ground truth")
     table = np.array(rows)
     poses = poses_of(table[:, 1:4], table[:, 4:])
-    return nearest_poses(path, stamps_s, table[:, 0], poses, tolerance_s)
+    table_s = table[:, 0] - (origin_s if table[0, 0] > stamps_s[-1] + tolerance_s else 0.0)
+    return nearest_poses(path, stamps_s, table_s, poses, tolerance_s)
 
 
 def _pose_numbers(where: str, words: list[str]) -> list[float]:
@@ -131,11 +137,38 @@ def nearest_poses(
     best = nearest(table_s, stamps_s, tolerance_s)
     near = best >= 0
     if not near.any():
-        problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
-        raise InputError(str(path), problem, "give both files the same clock, or delete this one")
+        raise other_clock(path, table_s, stamps_s, tolerance_s)
     T = np.full((len(stamps_s), 4, 4), np.nan)
     T[near] = poses[best[near]]
     return T
+
+
+def other_clock(path: Path, table_s: np.ndarray, stamps_s: np.ndarray, tolerance_s: float) -> InputError:
+    """The fault of a file of (M,) stamps of which none is near the (N,) of the frames."""
+    ranges = [f"{times[0]:.10g} to {times[-1]:.10g} s" for times in (table_s, stamps_s)]
+    problem = f"no stamp of {ranges[0]} lies within {tolerance_s:.4g} s of a frame's, {ranges[1]}"
+    shift = f"{stamps_s[0] - table_s[0]:+.10g}"
+    remedy = f"give both files the same clock ({shift} s here, if both began together), or leave this one out"
+    return InputError(str(path), problem, remedy)
+
+
+def told_coverage(where: str, stamps_s: np.ndarray, T_world_cam: np.ndarray | None) -> np.ndarray | None:
+    """The (N, 4, 4) poses, said where many frames have none; None where fewer than two have one."""
+    if T_world_cam is None or len(stamps_s) < 2:
+        return T_world_cam
+    known = np.flatnonzero(np.isfinite(T_world_cam).all(axis=(1, 2)))
+    if len(known) < 2:
+        count = "one frame" if len(known) else "no frame"
+        notice(
+            where, f"{count} has a true pose: nothing can be aligned, the sequence counts as without truth"
+        )
+        return None
+    if len(known) < _LEAST_COVERED * len(stamps_s):
+        times = f"from {stamps_s[known[0]]:.10g} to {stamps_s[known[-1]]:.10g} s"
+        notice(
+            where, f"truth covers {len(known)} of {len(stamps_s)} frames, {times}: ATE speaks of these alone"
+        )
+    return T_world_cam
 
 
 def nearest(table_s: np.ndarray, stamps_s: np.ndarray, tolerance_s: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import check_present, read_list, to_decimal
-from dslab.sim.io.truth import half_interval_s, nearest, read_tum_poses, tum_poses_text
+from dslab.sim.io.truth import half_interval_s, nearest, other_clock, read_tum_poses, tum_poses_text
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import FrameSource, Sequence
 
@@ -22,9 +22,9 @@ def load_tum(folder: Path, camera_file: Path | None = None) -> Sequence:
     """Read a sequence from a TUM-form folder; see ``sim.io.layout``. Errors as of ``load_sequence``.
 
     Its camera may be given, or be a calibration.yaml, as VSLAM-LAB had it beside these lists. The existence
-    of every image is checked now, its content when the frame is read. Ground truth and depth images are assigned
-    to frames within half a frame interval, without interpolation; a frame without a depth image has depth 0
-    (unknown) everywhere.
+    of every image is checked now, its content when the frame is read. Ground truth and depth images are
+    assigned to frames within half a frame interval, without interpolation; a frame without a depth image has
+    depth 0 (unknown) everywhere.
     """
     stamps_s, stamps_ns, images = _read_list(folder / layout.FRAMES_FILE)
     path = camera_file or _camera_file(folder)
@@ -79,8 +79,7 @@ def _read_depths(
     depth_s, _, images = _read_list(path)
     best = nearest(depth_s, stamps_s, tolerance_s)
     if (best < 0).all():
-        problem = f"no stamp lies within {tolerance_s:.4g} s of a frame's"
-        raise InputError(str(path), problem, "give both files the same clock, or delete this one")
+        raise other_clock(path, depth_s, stamps_s, tolerance_s)
     chosen = [images[index] if index >= 0 else None for index in best]
     return DepthFolder(chosen, (camera.height_px, camera.width_px))
 
