@@ -11,8 +11,8 @@ import pandas as pd
 
 from dslab.experiments.kernels import compile_kernels
 from dslab.experiments.plugins import load_plugins
-from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, execute, system_factory
-from dslab.experiments.runs.systems.registry import Registry
+from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, system_factory
+from dslab.experiments.runs.systems.registry import OwnSystem, Registry
 from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.spec import Scenario
 from dslab.sim.sequence import Sequence
@@ -135,8 +135,8 @@ def run(
     if plugin is not None:
         return Run(run_system(plugin, sequence, seed, progress=progress))
     build = system_factory(mode, dual, config) if isinstance(system, str) else system
-    name: Any = system if isinstance(system, str) else getattr(system, "__name__", "own")
-    return Run(execute(sequence, name, seed, None, progress, build))
+    name = system if isinstance(system, str) else getattr(system, "__name__", "own")
+    return Run(run_system(OwnSystem(name), sequence, seed, build, progress=progress))
 
 
 def compare(runs: Iterable[Run]) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.runs.execution import AtEnd, RunRecord, SystemFactory
 from dslab.experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
+from dslab.experiments.runs.inputs import hashed
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.systems.registry import OwnSystem, System
 from dslab.experiments.runs.systems.run import run_system
@@ -67,6 +68,7 @@ def run_systems(
     """
     if real_time and recording:
         raise ValueError("a recording would take time from the frames")
+    sequence = hashed(sequence)
     own = {kind: folder if len(systems) == 1 else folder / kind for kind in systems}
     records: dict[str, RunRecord] = {}
     with _recording(folder / RECORDING_FILE, sequence, systems) if recording else nullcontext() as recorded:

@@ -135,6 +135,7 @@ class Sequence:
             where they are not known or it does not follow them, as in rendered frames.
         stamps_ns: (N,) int64 the stamps in nanoseconds, as read, where float64 seconds do not hold them; None
             where they do.
+        source: what it was opened as: a folder, a file or the name of a scenario; empty if it was made.
     """
 
     name: str
@@ -149,6 +150,7 @@ class Sequence:
     image_names: tuple[str, ...] = ()
     exposure_s: np.ndarray | None = None
     stamps_ns: np.ndarray | None = None
+    source: str = ""
 
     def __len__(self) -> int:
         return len(self.stamps_s)

@@ -20,6 +20,7 @@ from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
 from dslab.experiments.result_folder import write_run
 from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.identity import check_once, sequence_digest, system_identity
+from dslab.experiments.runs.inputs import hashed
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import open_sequence
@@ -159,9 +160,11 @@ def make_run(job: Job) -> Row:
     with suppress(OSError):
         rmtree(job.folder)
     with scratch_folder() as scratch, new_directory(job.folder) as folder:
-        frames = _frames(job, scratch)
+        whole = _frames(job, scratch)
+        first = int(job.about["first_frame"])
+        frames = whole.only(np.arange(first, len(whole))) if first else whole
         pace = RealTime(frames) if spec.real_time else None
-        record = run_system(system, frames, job.about["seed"], spec.build, folder, pace=pace)
+        record = run_system(system, frames, job.about["seed"], spec.build, folder, pace=pace, whole=whole)
         summary = summarise(record)
         if not is_folder(job.scene[0]):
             add_overlaps(record, summary["breakage_list"], load_scenario(*job.scene))
@@ -170,9 +173,9 @@ def make_run(job: Job) -> Row:
 
 
 def _frames(job: Job, scratch: Path) -> Sequence:
-    """The frames of a run: the first seconds, with the stress, from where this run starts.
+    """The first seconds of a sequence, with the stress, of which a run may leave out the first frames.
 
-    The stress lies on the same frames in every run, whichever frames are left out before.
+    The stress lies on the same frames in every run.
     """
     spec = job.spec
     sequence = open_sequence(*job.scene, first_s=spec.first_s)
@@ -182,7 +185,7 @@ def _frames(job: Job, scratch: Path) -> Sequence:
     if first >= len(sequence):
         problem = f"run {job.about['run']} leaves out {first} of {len(sequence)} frames"
         raise InputError(job.about["source"], problem, "give fewer runs, or a smaller skip_frames")
-    return sequence.only(np.arange(first, len(sequence))) if first else sequence
+    return hashed(sequence)
 
 
 def _row(ended: Ended) -> Row:

@@ -1,6 +1,7 @@
 """``dslab compare``."""
 
 from collections.abc import Iterator
+from collections.abc import Sequence as Many
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,8 +31,9 @@ def compare_command(
 ) -> None:
     """Compare finished runs: robustness, completeness, errors, breakages, times.
 
-    Runs of one sequence stand side by side, several runs of a system with intervals. Writes index.html, with
-    paths, errors over time and stages, and comparison.json. For example:
+    Runs of one input stand side by side, several runs of a system with intervals. An input is its images,
+    times, camera, truth and stress, whatever its name. Writes index.html, with paths, errors over time and
+    stages, and comparison.json. For example:
 
     `dslab compare out/kitti --out out/kitti-page`
     """
@@ -41,7 +43,10 @@ def compare_command(
     if as_json:
         print_json_line(content)
         return
-    print_rows(_rows(content), "means over the runs, half the 95 % interval of the mean")
+    print_rows(
+        _rows(content),
+        "means over the runs, and their 95 % intervals: none of one run, or of runs that are all alike",
+    )
     for sequence in content["sequences"]:
         for system in sequence["systems"]:
             say(f"{sequence['name']}, {system['name']}: {system['audit']}")
@@ -50,15 +55,23 @@ def compare_command(
 
 def _rows(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for sequence in content["sequences"]:
-        yield {"": sequence["name"], "runs": "", **dict.fromkeys(_FIGURES.values(), "")}
+        yield _row(sequence["name"])
         for system in sequence["systems"]:
-            figures = {title: _cell(system["figures"][name]) for name, title in _FIGURES.items()}
-            yield {"": system["name"], "runs": system["runs"], **figures}
+            spreads = [system["figures"][name] for name in _FIGURES]
+            yield _row(system["name"], system["runs"], [_number(of["mean"]) for of in spreads])
+            if any(of["low"] is not None for of in spreads):
+                yield _row("  95 %, from", "", [_number(of["low"]) for of in spreads])
+                yield _row("  to", "", [_number(of["high"]) for of in spreads])
         yield {}
 
 
-def _cell(spread: dict[str, Any]) -> str | None:
-    if spread["mean"] is None:
-        return None
-    text = f"{spread['mean']:.3g}"
-    return text if spread["low"] is None else f"{text}\n±{spread['high'] - spread['mean']:.2g}"
+def _row(name: str, runs: int | str = "", cells: Many[str | None] | None = None) -> dict[str, Any]:
+    return {
+        "": name,
+        "runs": runs,
+        **dict(zip(_FIGURES.values(), cells or [""] * len(_FIGURES), strict=True)),
+    }
+
+
+def _number(value: float | None) -> str | None:
+    return None if value is None else f"{value:.3g}"

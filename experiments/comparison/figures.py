@@ -1,15 +1,17 @@
 """Figures of runs, by sequence and system, with intervals over the runs."""
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from scipy import stats
 
+from dslab.experiments.comparison.identity import by_input, by_system
 from dslab.experiments.comparison.left_runs import LeftRun
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.audit_text import runs_text
 from dslab.experiments.evaluation.robustness import LEAST, MOST, robustness, share_within, step_errors
+from dslab.experiments.statistics.spreads import Bounds, spread_of
 
 FIGURES = {
     "robustness": "robustness",
@@ -21,30 +23,29 @@ FIGURES = {
 }
 """Figures of a system and their labels."""
 THRESHOLDS = np.geomspace(LEAST / 3, MOST * 3, 61)
-_LEVEL = 0.95
+_SHARES = ("robustness", "completeness")
 
 
 def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
     """Everything that table and page show.
 
     Returns:
-        Per sequence its name, true path and systems; per system its figures as mean, ends of the mean's 95 %
-        interval over its runs (Student's t; none for one run) and values, what the audit found, the path,
-        errors and stages of the run with the median robustness, and the share of the path within each of
-        ``thresholds``, the mean over the runs.
+        Per input its name, true path and systems; per system its figures with their ``Spread`` over its runs,
+        what the audit found, the path, errors and stages of the run with the median robustness, and the share
+        of the path within each of ``thresholds``, the mean over the runs.
+
+    Raises:
+        InputError: a run does not say what it was given.
     """
-    groups: dict[str, dict[str, list[LeftRun]]] = {}
-    for run in runs:
-        groups.setdefault(run.sequence, {}).setdefault(run.system, []).append(run)
     sequences = []
-    for name, systems in groups.items():
-        first = next(iter(systems.values()))[0]
+    for name, own in by_input(runs).items():
+        first = own[0]
         sequences.append(
             {
                 "name": name,
                 "true_path_m": metrics.path_length_m(first.T_world_cam),
                 "truth": first.T_world_cam[:, :3, 3],
-                "systems": [_system(system, own) for system, own in systems.items()],
+                "systems": [_system(system, of) for system, of in by_system(own).items()],
             }
         )
     return {"sequences": sequences, "thresholds": THRESHOLDS}
@@ -59,7 +60,9 @@ def _system(name: str, runs: list[LeftRun]) -> dict[str, Any]:
         "name": name,
         "runs": len(runs),
         "audit": runs_text([run.summary for run in runs]),
-        "figures": {figure: _spread([own[figure] for own in values]) for figure in FIGURES},
+        "figures": {
+            figure: asdict(spread_of([own[figure] for own in values], _bounds(figure))) for figure in FIGURES
+        },
         "within": np.mean(within, axis=0),
         "stages": _stages_ms(shown.summary),
         **_path(shown),
@@ -86,14 +89,8 @@ def _figures(run: LeftRun) -> dict[str, float | None]:
     }
 
 
-def _spread(values: list[float | None]) -> dict[str, Any]:
-    known = np.array([value for value in values if value is not None], float)
-    mean = float(known.mean()) if len(known) else None
-    low = high = None
-    if len(known) > 1 and mean is not None:
-        half = float(stats.t.ppf((1 + _LEVEL) / 2, len(known) - 1) * known.std(ddof=1) / np.sqrt(len(known)))
-        low, high = mean - half, mean + half
-    return {"mean": mean, "low": low, "high": high, "values": values}
+def _bounds(figure: str) -> Bounds:
+    return "share" if figure in _SHARES else "amount"
 
 
 def _path(run: LeftRun) -> dict[str, Any]:

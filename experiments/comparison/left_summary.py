@@ -79,6 +79,13 @@ class _Breakage(_Part):
     view_overlap: Share | None = None
 
 
+class _Segment(_Part):
+    kind: str
+    start_s: float
+    end_s: float
+    severity: dict[str, Any]
+
+
 class _Summary(_Part):
     sequence: str
     system: str
@@ -90,6 +97,12 @@ class _Summary(_Part):
     rpe: _Rpe | None
     cpu_ms_median: Amount | None
     stages: dict[str, _Stage]
+    segments: list[_Segment]
+    source: str = ""
+    scenario_seed: int | None = None
+    input: dict[str, str] | None = None
+    config: dict[str, Any]
+    code: str = ""
     audit: _Audit | None
     breakage_list: list[_Breakage]
 

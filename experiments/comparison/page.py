@@ -11,6 +11,7 @@ from dslab.experiments.pages import render_page
 from dslab.experiments.report.plots.draw import Plot, rendered
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from dslab.experiments.runs.files import plain, to_json
+from dslab.experiments.statistics.spreads import ALIKE
 from dslab.sim.io.folders import check_free, new_directory
 
 PAGE_FILE, FIGURES_FILE = "index.html", "comparison.json"
@@ -47,12 +48,14 @@ def comparison_html(content: dict[str, Any]) -> str:
 
 
 def spread_text(spread: dict[str, Any], digits: int = 3) -> str:
-    """A mean and the ends of its interval, if it has one."""
+    """A mean and the ends of its interval, or that there is no spread; a dash without a mean."""
     mean, low, high = (
         None if end is None else f"{end:.{digits}g}"
         for end in (spread["mean"], spread["low"], spread["high"])
     )
-    return (mean or "–") if low is None else f"{mean} [{low}, {high}]"
+    if low is not None:
+        return f"{mean} [{low}, {high}]"
+    return f"{mean} (all alike)" if spread["reason"] == ALIKE else mean or "–"
 
 
 def _plots(sequence: dict[str, Any], thresholds: Any) -> dict[str, Plot]:

@@ -13,7 +13,7 @@ from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_out
 from dslab.experiments.evaluation.broken_maps import breakage_figures
 from dslab.experiments.runs.execution import RunRecord
 from dslab.experiments.runs.files import plain
-from dslab.experiments.runs.provenance import commit, versions
+from dslab.experiments.runs.provenance import code_hash, commit, versions
 from dslab.scenarios.describe import describe_kind
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.events import Relocalized, RescueEnd, TrackingState
@@ -35,6 +35,7 @@ def summarise(record: RunRecord) -> dict:
     ``cpu_ms_*`` is the CPU time of the tracking stages per frame, ``mapping_cpu_ms_*`` that of local mapping
     per keyframe, ``loop_cpu_ms_*`` that of loop closing. ``dropped_frames`` were too late to be fed,
     ``unreadable_frames`` could not be read; neither are among the ``frames``.
+    ``input`` has the digests of all that the run was given: runs of equal ones are repeats of each other.
     ``ended`` says how the run ended, ``declares`` what the system says of itself (``events``, ``losses`` or
     ``nothing``), and ``live_poses`` whether they were given frame by frame: ``final`` ones stand in for them
     where a program does not say.
@@ -43,6 +44,9 @@ def summarise(record: RunRecord) -> dict:
     audit = audit_record(record)
     summary = {
         "sequence": sequence_label(record.sequence),
+        "source": record.sequence.source,
+        "scenario_seed": record.sequence.meta.get("seed"),
+        "input": record.input or None,
         "system": record.system_kind,
         "seed": record.seed,
         "ended": record.ending.kind.value,
@@ -55,6 +59,7 @@ def summarise(record: RunRecord) -> dict:
         "frames_per_s": len(record.results) / record.wall_s if record.wall_s > 0 else None,
         "peak_rss_mb": round(record.peak_rss_mb, 1),
         "commit": commit(),
+        "code": code_hash(),
         "breakage_list": [_breakage(o, record) | breakage_figures(record, o, audit) for o in outcomes],
         "segments": segment_rows(record, outcomes),
         "audit": audit,

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterable
 from collections.abc import Sequence as Many
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -82,6 +82,8 @@ class RunRecord:
         declares: what the system says of itself.
         has_live_poses: False if ``live`` had to be made from the final poses.
         cpu_s: CPU seconds of a program and of what it starts, its start and reading included; else None.
+        input: digests of what the run was given, see :func:`experiments.runs.inputs.input_digests`; empty if
+            they were not made.
     """
 
     sequence: Sequence
@@ -102,6 +104,7 @@ class RunRecord:
     declares: Declares = Declares.EVENTS
     has_live_poses: bool = True
     cpu_s: float | None = None
+    input: dict[str, str] = field(default_factory=dict)
 
 
 def slam_camera(camera: Intrinsics) -> PinholeCamera:

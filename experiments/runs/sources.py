@@ -67,6 +67,7 @@ def open_sequence(
         if camera is None and not is_video(path):
             names = sequence.image_names or _image_names(path)
             sequence = replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
+        sequence = replace(sequence, source=source)
         return sequence if first_s is None else sequence.first(first_s)
     if truth is not None:
         raise InputError(f"--truth: {truth}", "a scenario has its own truth", "leave it out")
@@ -82,10 +83,11 @@ def open_sequence(
     backend = render_backend(renderer) if renderer is not None else None
     scenario = load_scenario(source, seed)
     needs = [] if out_dir is None else [images_need_of(scenario, out_dir, depth)]
-    return render_sequence(
+    rendered = render_sequence(
         scenario, cache_dir=cache_dir, depth=depth, first_s=first_s, progress=progress, backend=backend,
         needs=needs, force=force,
     )  # fmt: skip
+    return replace(rendered, source=source)
 
 
 def open_imu(

@@ -1,5 +1,6 @@
 """A sequence of a batch is its content, whatever name or place it has."""
 
+import json
 import os
 import re
 from pathlib import Path
@@ -72,6 +73,15 @@ def test_a_sequence_is_run_again_when_its_content_has_changed(folder, tmp_path, 
     other = (folder / "rgb" / "000030.png").read_bytes()
     path.write_bytes(other if path.suffix == ".png" else re.sub(rb"\d(?=\D*$)", b"1", content))
     assert made(str(source)) == 2 and len(list((tmp_path / "b" / "runs").rglob("note"))) == 1
+
+
+def test_runs_that_begin_at_other_frames_have_one_input(folder, tmp_path):
+    spec = BatchSpec(sequences=("drive",), systems=(EXAMPLE,), runs=2, vary="start", skip_frames=7)
+    rows = run_batch(spec, [str(folder)], tmp_path / "b")
+    inputs = [
+        json.loads((tmp_path / "b" / place / "summary.json").read_text())["input"] for place in rows.folder
+    ]
+    assert rows.frames.tolist() == [FRAMES, FRAMES - 7] and inputs[0] == inputs[1]
 
 
 def test_one_folder_or_class_by_two_spellings_is_refused(folder, tmp_path, monkeypatch):

@@ -80,8 +80,14 @@ def test_runs_stand_side_by_side(runs, tmp_path):
     base, dual = sequence["systems"]
     assert (base["name"], base["runs"], dual["runs"]) == ("base", 2, 1)
     score, lost = base["figures"]["robustness"], dual["figures"]["robustness"]
-    assert score["mean"] == pytest.approx(1, abs=1e-6) and score["low"] == pytest.approx(score["high"])
-    assert 0.3 < lost["mean"] < 0.6 and lost["low"] is None
+    assert score["mean"] == pytest.approx(1, abs=1e-6)
+    assert (score["low"], score["reason"], lost["low"], lost["reason"]) == (
+        None,
+        "all alike",
+        None,
+        "one run",
+    )
+    assert 0.3 < lost["mean"] < 0.6
     assert json.loads((tmp_path / "page" / FIGURES_FILE).read_text()) == content
     text = (tmp_path / "page" / PAGE_FILE).read_text()
     assert text.count("<figure>") == 4 and "<script" not in text and sequence["name"] in text
