@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from dslab.experiments.eq1.spec import ExperimentSpec
 
 _COLUMNS = (
-    "share_tracked", "maps", "breakages", "recoveries", "relocalizations", "ate_m", "path_share",
-    "cpu_ms_median",
+    "completeness", "share_tracked", "path_share", "ate_m", "rpe_m", "breakages", "recoveries",
+    "relocalizations", "maps", "cpu_ms_median",
 )  # fmt: skip
 
 

@@ -137,7 +137,7 @@ def latex(table: pd.DataFrame) -> str:
 
 
 def _rmse(trials: pd.DataFrame) -> str:
-    known = trials.ate_keyframes_m.fillna(trials.ate_frames_m).dropna()
+    known = trials.keyframe_ate_m.fillna(trials.ate_m).dropna()
     if not len(known):
         return NO_MAP
     median = known.median()

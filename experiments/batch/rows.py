@@ -5,11 +5,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.end_alignment import end_alignment_error_m
-from dslab.experiments.evaluation.intact_map import judge_intact
-from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.runs.execution import RunRecord
 
 Row = dict[str, Any]
@@ -31,8 +28,9 @@ COLUMNS = {
     "seed": ("Int64", "seed of the system"),
     "folder": ("string", "its result folder, within that of the batch"),
     "first_frame": ("Int64", "first frame of the sequence that was given"),
-    "frames": ("Int64", "frames that there were, those that were dropped included"),
-    "dropped_frames": ("Int64", "frames that were too late to be given"),
+    "frames": ("Int64", "frames that the system was given"),
+    "dropped_frames": ("Int64", "further ones that were too late to be given"),
+    "unreadable_frames": ("Int64", "further ones that could not be read"),
     "ended": ("string", "how the run ended; `error` if it could not be made"),
     "ended_message": ("string", "a line about that"),
     "declares": ("string", "what the system says of itself"),
@@ -40,13 +38,13 @@ COLUMNS = {
     "intact": ("boolean", "one map goes from the first pose to the end"),
     "intact_reason": ("string", "why not"),
     "longest_gap_s": ("Float64", "longest section that the map lacks"),
-    "completeness": ("Float64", "share of the frames that have a pose in the main map in the end"),
-    "share_tracked": ("Float64", "share of the frames that had a pose live"),
+    "completeness": ("Float64", "share of all frames that have a pose in the main map in the end"),
+    "share_tracked": ("Float64", "share of all frames that had a pose live"),
     "path_share": ("Float64", "share of the true path between frames of the main map"),
     "frames_to_initialise": ("Int64", "frames up to the first live pose"),
     "time_to_initialise_s": ("Float64", "from the first frame to the first live pose"),
-    "ate_keyframes_m": ("Float64", "RMSE of the keyframes of the main map after Sim(3) alignment"),
-    "ate_frames_m": ("Float64", "RMSE of its frames"),
+    "ate_m": ("Float64", "RMSE of the frames of the main map after Sim(3) alignment"),
+    "keyframe_ate_m": ("Float64", "that of its keyframes"),
     "scale_first_over_last": ("Float64", "scale of the path's first quarter over that of its last"),
     "end_alignment_m": ("Float64", "RMS between the path aligned to its start and to its end"),
     "ate_reason": ("string", "why there is none"),
@@ -78,7 +76,9 @@ COLUMNS = {
     "commit": ("string", "of the lab"),
 }
 _OF_SUMMARY = (
-    "dropped_frames", "ended", "ended_message", "declares", "live_poses", "path_share",
+    "frames", "dropped_frames", "unreadable_frames", "ended", "ended_message", "declares", "live_poses",
+    "intact", "intact_reason", "longest_gap_s", "completeness", "share_tracked", "path_share",
+    "ate_m", "keyframe_ate_m", "rpe_m", "rpe_deg",
     "frames_to_initialise", "time_to_initialise_s", "breakages", "recoveries", "relocalizations", "maps",
     "ms_median", "cpu_ms_median", "cpu_ms_p95", "mapping_cpu_ms_median", "loop_cpu_ms_median", "peak_rss_mb",
     "commit", "ate_reason", "scale_first_over_last",
@@ -92,23 +92,9 @@ def figures_of(record: RunRecord, summary: dict) -> Row:
         record: the run.
         summary: of :func:`experiments.evaluation.summary.summarise`.
     """
-    frames = len(record.sequence) + record.dropped_frames + record.unreadable_frames
-    posed = len(record.trajectories[0].frames) if record.trajectories else 0
-    rpe = summary["rpe"] or {}
-    intact = judge_intact(record.trajectories, _first_pose_s(record), float(record.sequence.stamps_s[-1]))
     return {
         **{name: summary[name] for name in _OF_SUMMARY},
-        "frames": frames,
-        "intact": intact.intact,
-        "intact_reason": intact.reason,
-        "longest_gap_s": intact.longest_gap_s,
-        "completeness": posed / frames,
-        "share_tracked": summary["tracked"] / frames,
-        "ate_keyframes_m": _ate_keyframes_m(record),
-        "ate_frames_m": summary["ate_m"],
         "end_alignment_m": _end_alignment_m(record),
-        "rpe_m": rpe.get("translation_rmse_m"),
-        "rpe_deg": rpe.get("rotation_rmse_deg"),
         "cpu_s": _cpu_s(record),
         "wall_s": record.wall_s,
         **_recoveries(summary["breakage_list"]),
@@ -157,23 +143,9 @@ def _cpu_s(record: RunRecord) -> float:
     return own_ms / 1000 if record.cpu_s is None else record.cpu_s
 
 
-def _first_pose_s(record: RunRecord) -> float | None:
-    live = [result.stamp_s for result in record.results if is_tracked(result)]
-    first = [float(path.stamps_s[0]) for path in record.trajectories if len(path.stamps_s)]
-    return min([*live[:1], *first], default=None)
-
-
 def _end_alignment_m(record: RunRecord) -> float | None:
     sequence = record.sequence
     if sequence.T_world_cam is None or not record.trajectories:
         return None
     error_m = end_alignment_error_m(record.trajectories[0], sequence.stamps_s, sequence.T_world_cam)
     return None if isinstance(error_m, Undefined) else error_m
-
-
-def _ate_keyframes_m(record: RunRecord) -> float | None:
-    truth = record.sequence.T_world_cam
-    if truth is None or not record.keyframes:
-        return None
-    ate = metrics.ate(metrics.associate(record.keyframes[0], record.sequence.stamps_s, truth))
-    return None if isinstance(ate, Undefined) else ate.rmse_m

@@ -16,7 +16,7 @@ from dslab.experiments.runs.ending import EndKind
 
 PAIRS_FILE = "pairs.csv"
 MEDIANS = (
-    "ate_keyframes_m", "ate_frames_m", "rpe_m", "completeness", "scale_first_over_last", "cpu_ms_median",
+    "keyframe_ate_m", "ate_m", "rpe_m", "completeness", "scale_first_over_last", "cpu_ms_median",
     "cpu_s", "wall_s",
 )  # fmt: skip
 
@@ -65,10 +65,10 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
         folder: of the batch.
 
     Returns:
-        Per ``source``, ``run`` and further ``system``: ``posed`` frames of its main map and ``first_posed``
-        of the first system's, ``common`` frames, on these ``ate_m`` and ``first_ate_m``, None where
-        undefined, ``cpu_ms`` and ``first_cpu_ms`` of tracking in the median of all frames, and ``path_m``,
-        the length of the true path. Empty for one system, or where no sequence has a truth.
+        Per ``source``, ``run`` and further ``system``: ``ate_poses`` of its main map and ``first_ate_poses``
+        of the first system's, ``common_poses`` of both, over these ``common_ate_m`` and
+        ``first_common_ate_m``, None where undefined, ``cpu_ms_median`` and ``first_cpu_ms_median`` of all
+        frames, and ``true_path_m``. Empty for one system, or where no sequence has a truth.
     """
     found: list[dict[str, Any]] = []
     for _, own in rows[rows.folder.notna()].groupby(["source", "run"], sort=False):
@@ -80,8 +80,8 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
         first, *others = [(row, read_run(folder / str(row.folder))) for row in own.itertuples()]
         path_m = metrics.path_length_m(first[1].T_world_cam)
         found += [
-            {"source": source, "run": run, "system": row.system, "path_m": path_m}
-            | {"cpu_ms": row.cpu_ms_median, "first_cpu_ms": first[0].cpu_ms_median}
+            {"source": source, "run": run, "system": row.system, "true_path_m": path_m}
+            | {"cpu_ms_median": row.cpu_ms_median, "first_cpu_ms_median": first[0].cpu_ms_median}
             | _compared(other.pairs, first[1].pairs)
             for row, other in others
         ]
@@ -91,11 +91,11 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
 def _compared(own: PosePairs, first: PosePairs) -> dict[str, Any]:
     common = np.intersect1d(own.frames, first.frames)
     return {
-        "posed": len(own),
-        "first_posed": len(first),
-        "common": len(common),
-        "ate_m": _ate_m(own.where(np.isin(own.frames, common))),
-        "first_ate_m": _ate_m(first.where(np.isin(first.frames, common))),
+        "ate_poses": len(own),
+        "first_ate_poses": len(first),
+        "common_poses": len(common),
+        "common_ate_m": _ate_m(own.where(np.isin(own.frames, common))),
+        "first_common_ate_m": _ate_m(first.where(np.isin(first.frames, common))),
     }
 
 

@@ -103,8 +103,8 @@ def _sum_row(row: dict[str, Any]) -> dict[str, Any]:
         "ended\nbadly": row["ended_badly"] or None,
         "break-\nages": number(row["breakages"], 0),
         "false /\ndecl.": f"{row['false']} / {row['declared']}" if row["declared"] else None,
-        "ATE m,\nkeyfr.": number(row["ate_keyframes_m"]),
-        "ATE m,\nframes": number(row["ate_frames_m"]),
+        "ATE m,\nkeyfr.": number(row["keyframe_ate_m"]),
+        "ATE m,\nframes": number(row["ate_m"]),
         "RPE m\nper s": number(row["rpe_m"]),
         "com-\nplete": share(row["completeness"]),
         "CPU ms/\nframe": number(row["cpu_ms_median"], 1),
@@ -131,9 +131,9 @@ def _beside(beside: "pd.DataFrame") -> Iterator[dict[str, Any]]:
     """Every system over the first one: quantiles over the runs of all sequences."""
     for system, own in beside.groupby("system", sort=False):
         ratios = {
-            "frames in the main map": own.posed / own.first_posed,
-            "ATE on common frames": own.ate_m / own.first_ate_m,
-            "CPU of tracking": own.cpu_ms / own.first_cpu_ms,
+            "frames in the main map": own.ate_poses / own.first_ate_poses,
+            "ATE on common frames": own.common_ate_m / own.first_common_ate_m,
+            "CPU of tracking": own.cpu_ms_median / own.first_cpu_ms_median,
         }
         for name, ratio in ratios.items():
             known = ratio.replace([float("inf")], float("nan")).dropna()

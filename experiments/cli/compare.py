@@ -12,6 +12,7 @@ from dslab.experiments.cli.console import FolderOption, JsonOption, print_json_l
 _FIGURES = {
     "robustness": "robust-\nness",
     "completeness": "com-\nplete",
+    "path_share": "path\nshare",
     "ate_m": "ATE\nm",
     "rpe_m": "RPE\nm per s",
     "breakages": "break-\nages",

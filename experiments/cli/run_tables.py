@@ -29,7 +29,7 @@ def print_runs(summaries: Mapping[str, dict]) -> None:
     else:
         out.print(systems_table(summaries))
         out.print(
-            "Tracked: frames with a live pose. With pose: frames with a final pose in the largest map; ATE: "
+            "Tracked: frames with a live pose. Complete: frames with a final pose in the largest map; ATE: "
             "their RMSE after Sim(3) alignment. Recovered: the maps were fused. A breakage shortly after a "
             "segment counts for the segment."
         )
@@ -46,14 +46,16 @@ def print_runs(summaries: Mapping[str, dict]) -> None:
 
 def summary_table(summary: dict) -> Table:
     """The main figures of a run."""
-    frames, first = summary["frames"], summary["first_tracked_frame"]
+    first = summary["first_tracked_frame"]
+    given = summary["frames"] + summary["dropped_frames"] + summary["unreadable_frames"]
     begun = f"{first}, after {number(summary['time_to_initialise_s'], 2, ' s')}"
     rows = {} if summary["ended"] == "finished" else {"ended": _ending_text(summary)}
     rows |= {"frames dropped, too late": summary["dropped_frames"]} if summary["dropped_frames"] else {}
     rows |= {"frames left out, unreadable": unread} if (unread := summary["unreadable_frames"]) else {}
     rows |= {
-        "frames tracked": f"{summary['tracked']} of {frames} ({share(summary['share_tracked'])})",
-        "frames with a pose in the end": f"{summary['posed']} of {frames} ({share(summary['share_posed'])})",
+        "frames tracked": f"{summary['tracked']} of {given} ({share(summary['share_tracked'])})",
+        "frames with a pose in the end": f"{summary['posed']} of {given} ({share(summary['share_posed'])})",
+        "of all frames in the largest map": share(summary["completeness"]),
         "first tracked frame": _never_initialized(summary) if first is None else begun,
         "maps / keyframes / points": f"{summary['maps']} / {summary['keyframes']} / {summary['map_points']}",
         "breakages / recovered / relocalized": f"{summary['breakages']} / {summary['recoveries']} / "
@@ -96,10 +98,10 @@ def systems_table(summaries: Mapping[str, dict]) -> Table:
     """The main figures of several systems over one sequence: a row each, and one per injected segment."""
     rows: list[dict[str, str]] = []
     for name, summary in summaries.items():
-        rows += [{"": name, **_cells(summary, summary["ate_poses"])}]
+        rows += [{"": name, **_cells(summary, summary["completeness"])}]
         for segment in summary["segments"]:
             part = f" {describe_kind(segment['kind'])} {_span(segment)}"
-            rows += [{"": part, **_cells(segment, segment["ate_frames"])}]
+            rows += [{"": part, **_cells(segment, _share_of(segment, "ate_poses"))}]
         rows += [{}]
     first = next(iter(summaries.values()))
     return table_of(rows, f"{first['sequence']}, seed {first['seed']}")
@@ -214,11 +216,14 @@ def _words(reason: str) -> str:
     return _REASONS.get(reason) or reason.replace("_", " ")
 
 
-def _cells(part: dict, posed: int | None) -> dict[str, str]:
-    frames = part["frames"] or None
+def _share_of(part: dict, frames: str) -> float | None:
+    return part[frames] / part["frames"] if part["frames"] else None
+
+
+def _cells(part: dict, completeness: float | None) -> dict[str, str]:
     return {
-        "tracked": share(frames and part["tracked"] / frames),
-        "with\npose": share(frames and (posed or 0) / frames),
+        "tracked": share(part.get("share_tracked", _share_of(part, "tracked"))),
+        "com-\nplete": share(completeness),
         "break-\nages": str(part["breakages"]),
         "recov-\nered": str(part["recoveries"]),
         "relocal-\nized": str(part["relocalizations"]),

@@ -16,6 +16,7 @@ from dslab.experiments.statistics.spreads import Bounds, spread_of
 FIGURES = {
     "robustness": "robustness",
     "completeness": "completeness",
+    "path_share": "share of the path",
     "ate_m": "ATE, m",
     "rpe_m": "RPE, m per s",
     "breakages": "breakages",
@@ -23,7 +24,7 @@ FIGURES = {
 }
 """Figures of a system and their labels."""
 THRESHOLDS = np.geomspace(LEAST / 3, MOST * 3, 61)
-_SHARES = ("robustness", "completeness")
+_SHARES = ("robustness", "completeness", "path_share")
 
 
 def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
@@ -81,9 +82,10 @@ def _figures(run: LeftRun) -> dict[str, float | None]:
     says = summary.get("declares", "breakages") != "nothing"
     return {
         "robustness": robustness(run.pairs, run.T_world_cam),
-        "completeness": summary.get("path_share"),
+        "completeness": summary.get("completeness"),
+        "path_share": summary.get("path_share"),
         "ate_m": summary.get("ate_m"),
-        "rpe_m": (summary.get("rpe") or {}).get("translation_rmse_m"),
+        "rpe_m": summary.get("rpe_m"),
         "breakages": summary.get("breakages") if says else None,
         "cpu_ms_median": summary.get("cpu_ms_median"),
     }

@@ -65,10 +65,6 @@ class _Stage(_Part):
     cpu_ms_median: Amount | None
 
 
-class _Rpe(_Part):
-    translation_rmse_m: Amount | None = None
-
-
 class _Breakage(_Part):
     frame: Count
     segment: str | None
@@ -92,9 +88,11 @@ class _Summary(_Part):
     frames: Annotated[int, Field(ge=1)]
     declares: str
     breakages: Count | None
+    completeness: Share | None = None
     path_share: Share | None
+    intact: bool | None = None
     ate_m: Amount | None
-    rpe: _Rpe | None
+    rpe_m: Amount | None = None
     cpu_ms_median: Amount | None
     stages: dict[str, _Stage]
     segments: list[_Segment]

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence as Many
-from dataclasses import asdict
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.audit_report import audit_record
 from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from dslab.experiments.evaluation.broken_maps import breakage_figures
+from dslab.experiments.evaluation.intact_map import judge_intact
 from dslab.experiments.runs.execution import RunRecord
 from dslab.experiments.runs.files import plain
 from dslab.experiments.runs.provenance import code_hash, commit, versions
@@ -26,7 +26,9 @@ def summarise(record: RunRecord) -> dict:
     """All figures of a run as plain JSON values.
 
     ``ate_m`` is the RMSE after Sim(3) alignment of the map with most frames, over ``ate_poses`` frames. It
-    favours a system that gets lost early, so read it together with ``share_tracked`` and ``path_share``.
+    favours a system that gets lost early, so read it together with ``completeness``, the share of all frames
+    that have a pose in this map in the end, and ``path_share``. ``keyframe_ate_m`` is that of its keyframes,
+    ``rpe_*`` the error of the relative pose over one second. Shares are of all frames that there were.
     ``tracked`` counts the frames that had a pose live, ``posed`` those that have one in the end: a recovery
     adds poses, and the system may take some back. ``rescued_frames`` of the live ones were placed by
     intensities where features did not track, in ``rescues`` stretches that have ended.
@@ -54,6 +56,7 @@ def summarise(record: RunRecord) -> dict:
         "declares": record.declares.value,
         "live_poses": "given" if record.has_live_poses else "final",
         **_counts(record, outcomes),
+        **_main_map(record),
         **_accuracy(record),
         **time_figures(record.results),
         "frames_per_s": len(record.results) / record.wall_s if record.wall_s > 0 else None,
@@ -89,6 +92,11 @@ def is_tracked(result: TrackingResult) -> bool:
     return result.state is TrackingState.TRACKING and result.T_map_cam is not None
 
 
+def given_frames(record: RunRecord) -> int:
+    """All frames that there were: fed, too late to be fed, or not readable."""
+    return len(record.results) + record.dropped_frames + record.unreadable_frames
+
+
 def posed_frames(record: RunRecord) -> np.ndarray:
     """(frames,) bool, true if the frame has a final pose in any map."""
     posed = np.zeros(len(record.results), bool)
@@ -105,7 +113,7 @@ def main_map_pairs(record: RunRecord) -> metrics.PosePairs | None:
 
 
 def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dict]:
-    """Figures of each injected segment: frames, breakages, repairs, ATE with its number of frames.
+    """Figures of each injected segment: frames, breakages, repairs, ATE with its number of poses.
 
     The ATE of a segment is that of the main map, aligned as a whole, over the segment's frames. A breakage
     counts in one segment only, so that the sum over segments is at most that of the run: of overlapping ones,
@@ -129,7 +137,7 @@ def segment_rows(record: RunRecord, outcomes: list[BreakageOutcome]) -> list[dic
                 "recoveries": sum(o.recovered for o in own),
                 "relocalizations": sum(o.relocalized is not None for o in own),
                 "ate_m": metrics.rms(np.array(posed)) if posed else None,
-                "ate_frames": len(posed),
+                "ate_poses": len(posed),
             }
         )
     return rows
@@ -156,6 +164,7 @@ def stage_times(results: Many[TrackingResult]) -> dict[str, dict[str, float | No
 def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
     tracked = [r.frame for r in record.results if is_tracked(r)]
     frames, first = len(record.results), tracked[0] if tracked else None
+    given = given_frames(record)
     posed = int(posed_frames(record).sum())
     stamps_s = record.sequence.stamps_s
     rescues = [event for event in record.events if isinstance(event, RescueEnd)]
@@ -164,9 +173,9 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
         "dropped_frames": record.dropped_frames,
         "unreadable_frames": record.unreadable_frames,
         "tracked": len(tracked),
-        "share_tracked": len(tracked) / frames if frames else None,
+        "share_tracked": len(tracked) / given if given else None,
         "posed": posed,
-        "share_posed": posed / frames if frames else None,
+        "share_posed": posed / given if given else None,
         "share_tracked_after_init": None if first is None else len(tracked) / (frames - first),
         "first_tracked_frame": first,
         "reason_not_initialized": _commonest_reason(record) if first is None else "",
@@ -185,13 +194,15 @@ def _counts(record: RunRecord, outcomes: list[BreakageOutcome]) -> dict:
 
 def _accuracy(record: RunRecord) -> dict:
     names = ("ate_m", "ate_median_m", "ate_max_m", "ate_share_of_path", "scale_m_per_map_unit", "scale_along")
-    names += ("scale_first_over_last", "scale_reason", "ate_poses")
-    names += ("path_m", "path_share", "true_path_m", "rpe")
+    names += ("scale_first_over_last", "scale_reason", "ate_poses", "keyframe_ate_m")
+    names += ("path_m", "path_share", "true_path_m")
+    names += ("rpe_m", "rpe_median_m", "rpe_deg", "rpe_median_deg", "rpe_pairs", "rpe_reason")
     empty = dict.fromkeys(names)
     truth = record.sequence.T_world_cam
     if truth is None:
         return {**empty, "ate_reason": "no ground truth"}
     empty["true_path_m"] = metrics.path_length_m(truth)
+    empty["keyframe_ate_m"] = _keyframe_ate_m(record)
     pairs = main_map_pairs(record)
     if pairs is None:
         return {**empty, "ate_reason": "no map", "path_m": 0.0, "path_share": 0.0}
@@ -215,8 +226,49 @@ def _accuracy(record: RunRecord) -> dict:
         "ate_share_of_path": ate.rmse_m / covered.path_m if covered.path_m > 0 else None,
         "scale_m_per_map_unit": ate.alignment.scale,
         "ate_reason": "",
-        "rpe": {"reason": rpe.reason} if isinstance(rpe, Undefined) else asdict(rpe),
+        **_rpe(rpe),
     }
+
+
+def _rpe(rpe: metrics.Rpe | Undefined) -> dict:
+    if isinstance(rpe, Undefined):
+        return {"rpe_reason": rpe.reason}
+    return {
+        "rpe_m": rpe.translation_rmse_m,
+        "rpe_median_m": rpe.translation_median_m,
+        "rpe_deg": rpe.rotation_rmse_deg,
+        "rpe_median_deg": rpe.rotation_median_deg,
+        "rpe_pairs": rpe.pairs,
+        "rpe_reason": "",
+    }
+
+
+def _keyframe_ate_m(record: RunRecord) -> float | None:
+    truth = record.sequence.T_world_cam
+    if truth is None or not record.keyframes:
+        return None
+    ate = metrics.ate(metrics.associate(record.keyframes[0], record.sequence.stamps_s, truth))
+    return None if isinstance(ate, Undefined) else ate.rmse_m
+
+
+def _main_map(record: RunRecord) -> dict:
+    """How much of the run the main map has in the end, and whether it is intact."""
+    given = given_frames(record)
+    posed = len(record.trajectories[0].frames) if record.trajectories else 0
+    end_s = float(record.sequence.stamps_s[-1]) if len(record.sequence) else 0.0
+    intact = judge_intact(record.trajectories, _first_pose_s(record), end_s)
+    return {
+        "completeness": posed / given if given else None,
+        "intact": intact.intact,
+        "intact_reason": intact.reason,
+        "longest_gap_s": intact.longest_gap_s,
+    }
+
+
+def _first_pose_s(record: RunRecord) -> float | None:
+    live = [result.stamp_s for result in record.results if is_tracked(result)]
+    first = [float(path.stamps_s[0]) for path in record.trajectories if len(path.stamps_s)]
+    return min([*live[:1], *first], default=None)
 
 
 def time_figures(results: Many[TrackingResult]) -> dict[str, float | None]:

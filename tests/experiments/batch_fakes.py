@@ -15,7 +15,7 @@ def made_up(job: Job) -> Row:
     return job.about | {
         "ended": "finished",
         "intact": job.about["run"] > 0,
-        "ate_frames_m": 1.0 + job.about["run"],
+        "ate_m": 1.0 + job.about["run"],
     }
 
 

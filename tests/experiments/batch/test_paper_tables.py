@@ -15,8 +15,8 @@ from dslab.experiments.batch.paper_tables import (
 
 def trial(source, system, ate_m, intact, needed=0, first=0, later=0, took_s=None):
     return {
-        "source": source, "system": system, "ended": "finished", "ate_keyframes_m": ate_m,
-        "ate_frames_m": ate_m, "intact": intact, "recoveries_needed": needed, "recovered_by_first": first,
+        "source": source, "system": system, "ended": "finished", "keyframe_ate_m": ate_m,
+        "ate_m": ate_m, "intact": intact, "recoveries_needed": needed, "recovered_by_first": first,
         "recovered_by_later": later, "recovery_s": took_s,
     }  # fmt: skip
 

@@ -37,7 +37,7 @@ def run(tmp_path) -> Path:
     T[:, :3, :3] = R
     T[10:15] = np.nan
     (home / "trajectory.txt").write_text(tum_poses_text(stamps_s, T))
-    figures = dict.fromkeys(("breakages", "path_share", "ate_m", "rpe", "cpu_ms_median", "audit"))
+    figures = dict.fromkeys(("breakages", "path_share", "ate_m", "rpe_m", "cpu_ms_median", "audit"))
     about = {"sequence": "walk", "system": "dual", "frames": COUNT, "declares": "events"}
     summary = figures | about | {"stages": {}, "breakage_list": [], "segments": [], "config": {}}
     (home / "summary.json").write_text(json.dumps(summary))

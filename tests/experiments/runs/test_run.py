@@ -55,7 +55,7 @@ def test_the_counts_of_the_summary_are_those_of_the_run(sequence, tmp_path):
     assert summary["cpu_ms_median"] == pytest.approx(8 + 0.01 * 149.5)
     (segment,) = summary["segments"]
     assert (segment["frames"], segment["tracked"], segment["recoveries"]) == (31, 31 - 20, 1)
-    assert segment["ate_frames"] == 11
+    assert segment["ate_poses"] == 11
     assert summary["breakage_list"][0]["segment"] == "low_texture"
 
 
@@ -116,7 +116,7 @@ def test_the_system_is_given_no_truth(sequence, tmp_path):
 def test_without_truth_the_accuracy_is_null(sequence, tmp_path):
     blind = replace(sequence, T_world_cam=None)
     summary = run_sequence(blind, "base", 0, tmp_path / "r", build=fake_factory(sequence, breaks_at=160))
-    for field in ("ate_m", "path_m", "rpe", "audit", "path_share"):
+    for field in ("ate_m", "path_m", "rpe_m", "audit", "path_share"):
         assert summary[field] is None
     assert summary["ate_reason"] == "no ground truth"
     assert summary["segments"][0]["ate_m"] is None
