@@ -23,9 +23,16 @@ from dslab.experiments.campaign.folder import (
 )
 from dslab.experiments.campaign.schedule import Record, Schedule, UnitOrder
 from dslab.experiments.eq1.record_table import normalise, record_fault, storable
-from dslab.experiments.eq1.records import SHAM, Outcome, dual_column, empty_record, thread_column
+from dslab.experiments.eq1.records import (
+    SHAM,
+    Outcome,
+    dual_column,
+    empty_record,
+    failure_column,
+    thread_column,
+)
 from dslab.experiments.eq1.spec import ExperimentSpec
-from dslab.experiments.eq1.units import UnitSpec
+from dslab.experiments.eq1.units import RECOVERING, UnitSpec
 from dslab.experiments.jobs.ledger import Ledger, renew_ledger, sole_driver
 from dslab.experiments.jobs.pool import Ended, Pool
 from dslab.scenarios.errors import InputError, MachineError
@@ -35,35 +42,49 @@ TRIES = 4
 
 
 @dataclass(frozen=True)
+class SystemTally:
+    """Shares of one system so far: of units whose stress acted, as shams only show false alarms.
+
+    Attributes:
+        system: its name.
+        completed: units whose free arm was completed.
+        breakages: those with a breakage (B).
+        failures: those in which it failed with all threads (D_n), or, if it has none, as a system (S).
+        has_threads: whether it has recovery threads.
+        crossing, uncrossed: of a run without the free arm: completed units, and those that no thread crosses.
+    """
+
+    system: str
+    completed: int
+    breakages: int
+    failures: int
+    has_threads: bool = True
+    crossing: int = 0
+    uncrossed: int = 0
+
+
+@dataclass(frozen=True)
 class Tally:
     """Progress of a run.
 
     Attributes:
         done, total: units that have ended, and all units.
         void, errors: units by outcome.
-        completed: units whose stress acted and whose free arm was completed; shams only show false alarms.
         retries: attempts in this run that ended in an infrastructure error.
-        breakages: completed units with a breakage (B).
-        failures: completed units in which Dual-SLAM failed with all threads (D_n).
-        crossing, uncrossed: of a run without the free arm: completed units with a degradation, and those of
-            them that no thread crosses.
         ended_here: units that ended in this run.
         workers: number of busy workers.
+        systems: shares of each system, in the order of the cells.
         cause: the most frequent message of the units given up; empty if there are none.
     """
 
     done: int
     total: int
-    completed: int
     void: int
     errors: int
     retries: int
-    breakages: int
-    failures: int
     ended_here: int
     workers: int
-    crossing: int = 0
-    uncrossed: int = 0
+    systems: tuple[SystemTally, ...] = ()
     cause: str = ""
 
 
@@ -174,6 +195,27 @@ def record_of(ended: Ended) -> dict[str, Any]:
     return normalise(empty_record(unit) | {"message": message}, len(unit.threads))
 
 
+def _of_system(name: str, records: Sequence[Record], threads: int) -> SystemTally:
+    tried = [
+        r
+        for r in records
+        if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM and r["exposed"] is not False
+    ]
+    completed = [r for r in tried if r["breakage"] is not None]
+    crossing = [r for r in tried if r["breakage"] is None]
+    crossed = [thread_column("cross", thread, "failed") for thread in range(1, threads + 1)]
+    failed = dual_column(threads) if name in RECOVERING else failure_column("s", threads)
+    return SystemTally(
+        system=name,
+        completed=len(completed),
+        breakages=sum(bool(r["breakage"]) for r in completed),
+        failures=sum(bool(r[failed]) for r in completed),
+        has_threads=name in RECOVERING,
+        crossing=len(crossing),
+        uncrossed=sum(all(r[failed] for failed in crossed) for r in crossing),
+    )
+
+
 class _Run:
     """State of a run."""
 
@@ -196,25 +238,19 @@ class _Run:
     def tally(self, workers: int) -> Tally:
         """Progress of the run."""
         records = self.schedule.records()
-        done = [r for r in records if r["outcome"] == Outcome.COMPLETED and r["kind"] != SHAM]
-        tried = [r for r in done if r["exposed"] is not False]
-        completed = [r for r in tried if r["breakage"] is not None]
-        crossing = [r for r in tried if r["breakage"] is None]
         given_up = Counter(r["message"] for r in records if is_infrastructure_error(r))
-        crossed = [thread_column("cross", thread, "failed") for thread in range(1, self._threads + 1)]
         return Tally(
             done=self.schedule.done,
             total=self.schedule.total,
-            completed=len(completed),
             void=sum(r["outcome"] == Outcome.VOID for r in records),
             errors=given_up.total(),
             retries=self._retries,
-            breakages=sum(bool(r["breakage"]) for r in completed),
-            failures=sum(bool(r[dual_column(self._threads)]) for r in completed),
             ended_here=self._ended_here,
             workers=workers,
-            crossing=len(crossing),
-            uncrossed=sum(all(r[failed] for failed in crossed) for r in crossing),
+            systems=tuple(
+                _of_system(name, [r for r in records if r["system"] == name], self._threads)
+                for name in dict.fromkeys(r["system"] for r in records)
+            ),
             cause=given_up.most_common(1)[0][0] if given_up else "",
         )
 

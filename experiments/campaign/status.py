@@ -7,7 +7,8 @@ from typing import Any
 
 from dslab.experiments.campaign.folder import read_errors, read_rows
 from dslab.experiments.campaign.schedule import Schedule
-from dslab.experiments.eq1.records import Outcome, dual_column
+from dslab.experiments.eq1.boundary_plan import is_search
+from dslab.experiments.eq1.records import Outcome, dual_column, failure_column
 
 
 @dataclass(frozen=True)
@@ -16,22 +17,25 @@ class CellStatus:
 
     Attributes:
         cell: its name.
-        budget: number of units.
+        budget: number of units; None in a boundary search, which chooses its doses.
         units: number of units that have ended.
         completed, unexposed, void, errors: of these, by outcome; unexposed: completed, but the stress did not
             act.
-        breakages, failures: completed units with B, and with failure of all threads (D_n).
+        breakages, dual_failures, system_failures: completed units with B, with failure of all threads (D_n),
+            and in which the system failed (S); None where it is known of none, as D_n of a system without
+            threads.
     """
 
     cell: str
-    budget: int
+    budget: int | None
     units: int
     completed: int
     unexposed: int
     void: int
     errors: int
-    breakages: int
-    failures: int
+    breakages: int | None
+    dual_failures: int | None
+    system_failures: int | None
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,8 @@ class ExperimentStatus:
 
     Attributes:
         name, spec_hash: of its spec.
-        done, total: units that have ended, and all units.
+        is_search: whether it is a boundary search.
+        done, total: units that have ended, and all units; of a search its trials.
         cells: status of each cell.
         failed_attempts: number of infrastructure errors.
         given_up: id and message of the units given up after such errors.
@@ -50,6 +55,7 @@ class ExperimentStatus:
 
     name: str
     spec_hash: str
+    is_search: bool
     done: int
     total: int
     cells: tuple[CellStatus, ...]
@@ -57,6 +63,11 @@ class ExperimentStatus:
     given_up: tuple[tuple[str, str], ...]
     codes: tuple[str, ...]
     wall_s: float
+
+    @property
+    def finished(self) -> bool:
+        """True if all units have ended."""
+        return self.done == self.total
 
 
 def experiment_status(folder: Path) -> ExperimentStatus:
@@ -67,16 +78,23 @@ def experiment_status(folder: Path) -> ExperimentStatus:
     """
     spec, rows = read_rows(folder)
     errors = read_errors(folder)
-    schedule = Schedule(spec, rows)
-    whole = dual_column(len(spec.threads))
+    search = is_search(spec)
+    if search:
+        done, total = len({r["index"] for r in rows if r["index"] < spec.worlds}), spec.worlds
+    else:
+        schedule = Schedule(spec, rows)
+        done, total = schedule.done, schedule.total
+    of_cell = {cell: [r for r in rows if r["cell"] == cell] for cell in spec.cell_names()}
     return ExperimentStatus(
         name=spec.name,
         spec_hash=spec.content_hash,
-        done=schedule.done,
-        total=schedule.total,
+        is_search=search,
+        done=done,
+        total=total,
         cells=tuple(
-            _cell(cell, spec.units_of(cell), [r for r in rows if r["cell"] == cell], whole)
-            for cell in spec.cell_names()
+            _cell(cell, None if search else spec.units_of(cell), own, len(spec.threads))
+            for cell, own in of_cell.items()
+            if own or not search
         ),
         failed_attempts=len(errors),
         given_up=tuple(
@@ -87,10 +105,15 @@ def experiment_status(folder: Path) -> ExperimentStatus:
     )
 
 
-def _cell(cell: str, budget: int, rows: list[dict[str, Any]], whole: str) -> CellStatus:
+def _cell(cell: str, budget: int | None, rows: list[dict[str, Any]], threads: int) -> CellStatus:
     outcomes = Counter(row["outcome"] for row in rows)
     done = [row for row in rows if row["outcome"] == Outcome.COMPLETED]
     completed = [row for row in done if row["exposed"] is not False]
+
+    def with_event(column: str) -> int | None:
+        known = [row[column] for row in completed if row[column] is not None]
+        return sum(known) if known else None
+
     return CellStatus(
         cell=cell,
         budget=budget,
@@ -99,6 +122,7 @@ def _cell(cell: str, budget: int, rows: list[dict[str, Any]], whole: str) -> Cel
         unexposed=len(done) - len(completed),
         void=outcomes[Outcome.VOID],
         errors=outcomes[Outcome.INFRASTRUCTURE_ERROR],
-        breakages=sum(bool(row["breakage"]) for row in completed),
-        failures=sum(bool(row[whole]) for row in completed),
+        breakages=with_event("breakage"),
+        dual_failures=with_event(dual_column(threads)),
+        system_failures=with_event(failure_column("s", threads)),
     )

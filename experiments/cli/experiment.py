@@ -185,19 +185,23 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
         (
             {
                 "cell": cell.cell,
-                "units": f"{cell.units} / {cell.budget}",
+                "units": cell.units if cell.budget is None else f"{cell.units} / {cell.budget}",
                 "count": cell.completed,
                 "no\nstress": cell.unexposed,
                 "void": cell.void,
                 "errors": cell.errors,
                 "break": cell.breakages,
-                "all\nfail": cell.failures,
+                "threads\nfail": cell.dual_failures,
+                "system\nfails": cell.system_failures,
             }
             for cell in status.cells
         ),
         f"{status.name} ({status.spec_hash[:12]})",
     )
-    say(f"{status.done} of {status.total} units, {number(status.wall_s / 3600, 2)} h of worker time")
+    what = "trials of the search" if status.is_search else "units"
+    finished = ", finished" if status.finished else ""
+    hours = number(status.wall_s / 3600, 2)
+    say(f"{status.done} of {status.total} {what}{finished}, {hours} h of worker time")
     if status.failed_attempts:
         say(f"{status.failed_attempts} attempts ended in infrastructure errors")
     for unit_id, message in status.given_up:

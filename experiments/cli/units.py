@@ -10,7 +10,7 @@ import typer
 from dslab.experiments.cli.console import print_error_line, progress_bars
 
 if TYPE_CHECKING:
-    from dslab.experiments.campaign.runner import Tally
+    from dslab.experiments.campaign.runner import SystemTally, Tally
 
 TIMEOUT_S, MEMORY_MB = 1800.0, 4000  # as of experiments.campaign.workers, which is slow to import
 CoresOption = Annotated[
@@ -32,17 +32,22 @@ RerunDamagedOption = Annotated[
 
 
 def estimates_text(tally: "Tally") -> str:
-    """Running estimates as shares; intervals would not be valid under repeated looks."""
+    """Running estimates of each system as shares; intervals would not be valid under repeated looks."""
+    of_each = [
+        (f"{each.system}: " if len(tally.systems) > 1 else "") + _shares_text(each) for each in tally.systems
+    ]
+    found = [f"{tally.void} void"] + ([f"{tally.errors} errors"] if tally.errors else [])
+    return "; ".join(filter(None, ["; ".join(of_each), ", ".join(found)]))
 
+
+def _shares_text(each: "SystemTally") -> str:
     def part(label: str, events: int, of: int) -> str:
         return f"{label} {f'{events / of:.2f}' if of else '-'} ({events}/{of})"
 
-    if tally.crossing:
-        found = [part("no thread crosses", tally.uncrossed, tally.crossing)]
-    else:
-        found = [part("p0", tally.breakages, tally.completed)]
-        found.append(part("dual failures", tally.failures, tally.completed))
-    return ", ".join(found + [f"{tally.void} void"] + ([f"{tally.errors} errors"] if tally.errors else []))
+    if each.crossing:
+        return part("no thread crosses", each.uncrossed, each.crossing)
+    failures = "dual failures" if each.has_threads else "system failures"
+    return f"{part('p0', each.breakages, each.completed)}, {part(failures, each.failures, each.completed)}"
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from dslab.experiments.campaign.folder import (
     open_ledger,
     read_experiment,
 )
-from dslab.experiments.campaign.runner import Tally, run_experiment
+from dslab.experiments.campaign.runner import SystemTally, Tally, run_experiment
 from dslab.experiments.cli.units import estimates_text
 from dslab.experiments.eq1.records import columns, decided
 from dslab.experiments.eq1.spec import load_spec
@@ -80,7 +80,7 @@ def test_shams_are_units_but_not_of_the_shares_that_a_run_prints(tmp_path):
     pool = partial(LocalPool, made_up_unit)
     tally = run_experiment(spec, tmp_path / "s", lambda: nullcontext(pool()))
     done = read_experiment(tmp_path / "s")[1].query("outcome == 'completed'")
-    assert tally.done == 6 and tally.completed == (done["kind"] != "sham").sum() < len(done)
+    assert tally.done == 6 and tally.systems[0].completed == (done["kind"] != "sham").sum() < len(done)
 
 
 def test_the_exported_table_is_that_of_the_ledger_in_any_order_of_writing(dslab, smoke):
@@ -105,6 +105,14 @@ def test_the_exported_table_is_that_of_the_ledger_in_any_order_of_writing(dslab,
 def test_the_status_counts_units_per_cell(dslab, smoke):
     code, out, _ = dslab("experiment", "status", smoke)
     assert code == 0 and "3 / 3" in out and "6 of 6 units" in out
+
+
+def test_a_system_without_threads_has_a_dash_where_all_threads_fail(dslab):
+    folder = ROOT / "docs" / "rescue"
+    code, out, _ = dslab("experiment", "status", folder)
+    lines = [line.split() for line in out.splitlines() if " / " in line]
+    assert code == 0 and lines and all(line[-2] == "-" for line in lines)
+    assert out.rstrip().splitlines()[-1].startswith("360 of 360 units, finished, ")
 
 
 def test_a_replay_agrees_with_the_ledger_or_names_the_differing_columns(dslab, smoke):
@@ -300,13 +308,18 @@ def test_the_schema_is_one_of_json(dslab):
 
 
 def test_estimates_are_shares_with_counts():
-    tally = Tally(12, 20, completed=10, void=1, errors=1, retries=5, breakages=4, failures=1,
-                  ended_here=6, workers=2)  # fmt: skip
-    assert estimates_text(tally) == "p0 0.40 (4/10), dual failures 0.10 (1/10), 1 void, 1 errors"
-    crossing = replace(tally, completed=0, breakages=0, failures=0, crossing=8, uncrossed=2, errors=0)
-    assert estimates_text(crossing) == "no thread crosses 0.25 (2/8), 1 void"
-    none = Tally(0, 20, 0, 0, 0, 0, 0, 0, 0, workers=0)
-    assert "p0 - (0/0)" in estimates_text(none)
+    dual = SystemTally("dual", completed=10, breakages=4, failures=1)
+    tally = Tally(12, 20, void=1, errors=1, retries=5, ended_here=6, workers=2, systems=(dual,))
+    assert estimates_text(tally) == "p0 0.40 (4/10), dual failures 0.10 (1/10); 1 void, 1 errors"
+    crossing = SystemTally("dual", 0, 0, 0, crossing=8, uncrossed=2)
+    assert estimates_text(replace(tally, systems=(crossing,), errors=0)) == (
+        "no thread crosses 0.25 (2/8); 1 void"
+    )
+    assert estimates_text(Tally(0, 20, 0, 0, 0, 0, workers=0)) == "0 void"
+    own = SystemTally("Own", completed=0, breakages=0, failures=0, has_threads=False)
+    assert estimates_text(replace(tally, systems=(dual, own), errors=0)) == (
+        "dual: p0 0.40 (4/10), dual failures 0.10 (1/10); Own: p0 - (0/0), system failures - (0/0); 1 void"
+    )
 
 
 def test_a_run_of_the_crossing_arm_says_how_often_no_thread_crosses(dslab, tmp_path):
@@ -317,7 +330,7 @@ def test_a_run_of_the_crossing_arm_says_how_often_no_thread_crosses(dslab, tmp_p
     table = table[table["exposed"]]  # in nine units the stress acts on no frame
     failed = table[[f"cross_r{thread}_failed" for thread in (1, 2, 3)]].astype(bool).all(axis=1).sum()
     assert code == 0
-    assert f"700 of 700 units: no thread crosses {failed / 691:.2f} ({failed}/691), 0 void" in out
+    assert f"700 of 700 units: no thread crosses {failed / 691:.2f} ({failed}/691); 0 void" in out
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from rich.console import Console
 from typer.main import get_command
 
 from dslab.experiments.campaign.folder import ERRORS_FILE
-from dslab.experiments.campaign.runner import Tally
+from dslab.experiments.campaign.runner import SystemTally, Tally
 from dslab.experiments.cli import console
 from dslab.experiments.cli.commands import app
 from dslab.experiments.cli.units import unit_progress
@@ -89,7 +89,7 @@ def test_progress_shows_count_bar_and_time_left(monkeypatch, tmp_path):
     terminal = Console(file=shown, force_terminal=True, width=80, color_system=None)
     monkeypatch.setattr("dslab.experiments.cli.console.err", terminal)
     with unit_progress("eq1-full", tmp_path) as show:
-        show(Tally(1234, 5400, 1180, 44, 10, 50, breakages=401, failures=211, ended_here=617, workers=8))
+        show(Tally(1234, 5400, 44, 10, 50, 617, 8, (SystemTally("dual", 1180, 401, 211),)))
     lines = shown.getvalue().splitlines()
     bar = next(line for line in reversed(lines) if "1234/5400" in line)
     assert "━━━━━━" in bar and " left " in bar and "…" not in bar
