@@ -12,6 +12,7 @@ from dslab.sim.degradations.segment_link import ramp
 from dslab.sim.degradations.truth import truths_of
 from dslab.sim.frame_plan import RenderBackend, plan_in_world, render_backend
 from dslab.sim.preview import Preview, preview
+from dslab.sim.sequence import SegmentTruth
 
 _WITHOUT_A_WORLD = {Stage.MOTION, Stage.TIMING}
 _AT_ONCE = 4
@@ -45,6 +46,31 @@ def stress_acts(scenario: Scenario, backend: RenderBackend | None = None) -> boo
     )
 
 
+def stress_measure(scenario: Scenario, backend: RenderBackend | None = None) -> tuple[str, float]:
+    """What the first segment of a scenario measures, by its kind's own measure, on a few frames of its time.
+
+    Args:
+        scenario: with its own seed and at least one segment.
+        backend: worlds and renderer; None for MuJoCo.
+
+    Returns:
+        Name of the measure, with its unit, and its median over the segment's middle frames.
+
+    Raises:
+        InputError: as ``sim.preview.preview``.
+    """
+    backend, segment = backend or render_backend(), scenario.segments[0]
+    if DEGRADATIONS[segment.kind].stage in _WITHOUT_A_WORLD:
+        plan = plan_in_world(scenario, backend)
+        kind = FRAME_PLAN_KINDS[segment.kind]
+        measure = kind.measure(plan, segment, np.zeros(len(plan.stamps_s)))[plan.within(segment)]
+        return kind.measure_name, float(np.median(measure)) if len(measure) else 0.0
+    looked = preview(scenario, backend)
+    frames = next(_from_the_middle(looked.plan, segment))
+    truths, columns = _truths_on(looked, segment, frames)
+    return truths[0].measure, float(np.median(columns[truths[0].measure]))
+
+
 def _acts_on_plan(plan: FramePlan, segment: Segment) -> bool:
     kind = FRAME_PLAN_KINDS[segment.kind]
     measure = kind.measure(plan, segment, np.zeros(len(plan.stamps_s)))
@@ -53,10 +79,15 @@ def _acts_on_plan(plan: FramePlan, segment: Segment) -> bool:
 
 def _acts_on(looked: Preview, segment: Segment, frames: np.ndarray) -> bool:
     """True if the segment acts on one of these frames, (K,) increasing indices."""
+    return _truths_on(looked, segment, frames)[0][0].first_frame >= 0
+
+
+def _truths_on(
+    looked: Preview, segment: Segment, frames: np.ndarray
+) -> tuple[list[SegmentTruth], dict[str, np.ndarray]]:
     _, blur_px, links = looked.expose_frames(frames.tolist())
     part = looked.plan.only(np.isin(np.arange(len(looked.plan.stamps_s)), frames))
-    truths, _ = truths_of((segment,), part, links, blur_px)
-    return truths[0].first_frame >= 0
+    return truths_of((segment,), part, links, blur_px)
 
 
 def _from_the_middle(plan: FramePlan, segment: Segment) -> Iterator[np.ndarray]:

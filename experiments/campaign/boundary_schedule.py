@@ -4,10 +4,12 @@ A batch starts when all trials before it have ended, so that doses depend neithe
 on who ends first; a resumed search goes on with the doses that it would have chosen.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 
 from dslab.experiments.campaign.schedule import Record, UnitOrder
 from dslab.experiments.eq1.boundary_plan import BoundaryPlan
+from dslab.experiments.eq1.records import Outcome
 from dslab.experiments.eq1.units import UnitSpec
 from dslab.experiments.statistics.boundary import SHAM, CurveGrid, Floats, curve_grid
 from dslab.scenarios.errors import InputError
@@ -24,7 +26,7 @@ class BoundarySchedule(UnitOrder):
         done: existing records; those beyond the number of trials do not count.
 
     Raises:
-        InputError: a record is of a unit that no search chooses, or the shams reach the level.
+        InputError: a record is of a unit that no search chooses, or the shams leave no dose to find.
     """
 
     first_cells = 1
@@ -47,15 +49,16 @@ class BoundarySchedule(UnitOrder):
                     "choose a new folder",
                 )
             self.finish(record)
-        if all(trial in self._ended for trial in range(plan.shams)):
-            self._check_shams()
+        self._check_shams()
 
     def next(self, worker: str = "") -> UnitSpec | None:
         """The next trial; None while all of its batch run, and at the end.
 
         Raises:
-            InputError: as many shams fail as are to fail at the dose that is sought.
+            InputError: so many shams fail that the level is reached without stress, whatever the others do;
+                or all are void.
         """
+        self._check_shams()
         first = next((t for t in range(self.total) if t not in self._ended), None)
         if first is None:
             return None
@@ -103,16 +106,31 @@ class BoundarySchedule(UnitOrder):
         if start < self.plan.shams:
             return [SHAM] * size
         if self._chosen[0] != start:
-            self._check_shams()
             self._chosen = start, self.grid.choose(self.posterior(start), size)
         return self._chosen[1]
 
     def _check_shams(self) -> None:
-        places, failed = self.outcomes(self.plan.shams)
-        if places and sum(failed) >= self.plan.level * len(places):
-            rate = f"{sum(failed)} of {len(places)}"
-            raise InputError(
-                "--fail",
-                f"{self.plan.level:g} is not above the sham rate: {rate} fail without stress",
-                "give a higher probability",
-            )
+        """Refuse the search as soon as its shams tell that no dose can be its answer."""
+        plan = self.plan
+        ended = [self._ended[trial] for trial in range(plan.shams) if trial in self._ended]
+        places, failed = self.outcomes(plan.shams)
+        look = f"see one by `dslab experiment replay DIR {plan.sham_cell}:0 --rerun unit.rrd`"
+        if sum(r["outcome"] == Outcome.VOID for r in ended) == plan.shams:
+            problem = f"all {plan.shams} trials without stress are void: {_commonest(ended, 'void_reason')}"
+            remedy = f"{look}; mend the system, or search in another --spec or --world"
+            raise InputError(plan.system, problem, remedy)
+        # Those that may still be judged could all hold.
+        if failed and sum(failed) >= plan.level * (plan.shams - len(ended) + len(places)):
+            rate, why = sum(failed) / len(failed), _commonest(ended, "breakage_reason", "mission_cause")
+            problem = f"{sum(failed)} of {len(failed)} trials fail without stress{why and f' ({why})'}"
+            above = "" if rate == 1 else f"give --fail above {rate:.2g}, or "
+            remedy = f"{above}mend the system or search in another --spec or --world; {look}"
+            raise InputError(plan.system, problem, remedy)
+
+
+def _commonest(records: Sequence[Record], *columns: str) -> str:
+    """What most records say in the first of some columns that says anything."""
+    for column in columns:
+        if said := Counter(r[column] for r in records if r[column]):
+            return said.most_common(1)[0][0].replace("_", " ")
+    return ""

@@ -5,7 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from dslab.experiments.cli.console import JsonOption, SeedOption, SystemsOption, print_json_line, say
+from dslab.experiments.cli.console import (
+    JsonOption,
+    SeedOption,
+    SystemsOption,
+    print_json_line,
+    progress_bars,
+    say,
+)
 from dslab.experiments.cli.units import (
     MEMORY_MB,
     TIMEOUT_S,
@@ -28,10 +35,10 @@ def boundary_command(
         str, typer.Argument(metavar="KIND", help="Kind of stress; KIND-creeping for one that rises slowly.")
     ],
     of: Annotated[
-        Literal["base", "dual", "system", "mission", "recovery"],
+        Literal["breakage", "dual", "system", "mission", "recovery"],
         typer.Option(
-            help="base: tracking breaks (B); dual: and every thread fails (D); system: what a user gets (S); "
-            "mission: that, or silently or falsely wrong (M); recovery: thread 1 does not cross (R_1)."
+            help="breakage: tracking breaks (B); dual: and every thread fails (D); system: what a user gets "
+            "(S); mission: that, or silently or falsely wrong (M); recovery: thread 1 does not cross (R_1)."
         ),
     ],
     fail: Annotated[float, typer.Option(metavar="P", help="Probability of failure at the dose sought.")],
@@ -39,8 +46,11 @@ def boundary_command(
     spec: Annotated[
         str, typer.Option(metavar="NAME|SPEC.yaml", help="Experiment whose units are the trials.")
     ] = "eq1",
-    base: Annotated[
-        str | None, typer.Option(help="Base of it: kind of world and of motion; default: the first.")
+    world: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Its kind of world and of motion, one of its `bases`; default: the first."
+        ),
     ] = None,
     system: Annotated[
         str | None,
@@ -78,20 +88,20 @@ def boundary_command(
     number of workers. Give another seed than that of the experiment for which the dose is sought.
     For example:
 
-    `dslab experiment boundary motion_blur --of base --fail 0.5 --out out/blur`
+    `dslab experiment boundary motion_blur --of breakage --fail 0.5 --out out/blur`
 
-    `dslab experiment boundary low_texture --of mission --fail 0.25 --base room --trials 100 --out out/room`
+    `dslab experiment boundary low_texture --of mission --fail 0.25 --world room --trials 100 --out out/room`
     """
     from dslab.experiments.campaign.runner import run_experiment
     from dslab.experiments.campaign.workers import unit_workers
     from dslab.experiments.eq1.boundary_plan import boundary_plan
     from dslab.experiments.eq1.doses import dose_axis
     from dslab.experiments.eq1.spec import load_spec
-    from dslab.experiments.report.boundary import PICTURE_FILE, write_boundary
+    from dslab.experiments.report.boundary import PICTURE_FILE, searched_text, write_boundary
 
     axis = dose_axis(kind.removesuffix("-creeping"), dose, weakest, strongest)
     plan = boundary_plan(
-        load_spec(spec), kind, of, fail, base=base, trials=trials, shams=sham, batch=batch, seed=seed or 0,
+        load_spec(spec), kind, of, fail, base=world, trials=trials, shams=sham, batch=batch, seed=seed or 0,
         axis=axis, system=system,
     )  # fmt: skip
     units = unit_workers(plan.spec, systems_dir or (), workers, None, timeout, memory)
@@ -100,7 +110,8 @@ def boundary_command(
         tally = run_experiment(
             plan.spec, out_dir, units.open, retry_errors, rerun_damaged, show, order.schedule, units.digests
         )
-    found = write_boundary(plan, out_dir)
+    with progress_bars(kernels=False) as step:
+        found = write_boundary(plan, out_dir, lambda done, total: step("measuring the dose", done, total))
     if as_json:
         print_json_line(found)
         return
@@ -111,6 +122,8 @@ def boundary_command(
         f"{tally.done} trials in as many worlds, {tally.void} of them void{given_up}; "
         f"without stress {sham_trials['failures']} of {sham_trials['trials']} fail"
     )
+    for line in searched_text(found):
+        say(line)
     say(f"picture in {out_dir / PICTURE_FILE}")
 
 

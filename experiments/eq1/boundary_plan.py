@@ -17,16 +17,16 @@ from dslab.experiments.eq1.units import RECOVERING, system_label
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import all_faults, guess
 
-FailureName = Literal["base", "dual", "system", "mission", "recovery"]
+FailureName = Literal["breakage", "dual", "system", "mission", "recovery"]
 FAILURES: dict[FailureName, str] = {
-    "base": "tracking breaks (B)",
+    "breakage": "tracking breaks (B)",
     "dual": "tracking breaks and every recovery thread fails (D)",
     "system": "tracking breaks and no thread recovers, or the first to say so is wrong (S)",
     "mission": "the system fails, or is silently or falsely wrong (M)",
     "recovery": "the first thread does not cross the segment, whether or not tracking breaks (R_1)",
 }
 """What a search can be of; with all threads of the spec."""
-OF_ANY: tuple[FailureName, ...] = ("base", "system", "mission")
+OF_ANY: tuple[FailureName, ...] = ("breakage", "system", "mission")
 """Those of a system without recovery threads: it breaks, does not come back, or its mission fails."""
 _CREEPING, _PREFIX = "-creeping", "boundary-"
 _ONE_UNIT_PER_WORLD: dict[str, Any] = {
@@ -67,6 +67,11 @@ class BoundaryPlan:
         return system_label(self.spec.systems[0])
 
     @property
+    def failure(self) -> str:
+        """The failure in short words."""
+        return self.of if self.of == "breakage" else f"{self.of} failure"
+
+    @property
     def trials(self) -> int:
         """Number of trials, with the shams."""
         return self.spec.worlds
@@ -76,7 +81,7 @@ class BoundaryPlan:
         """Column of the records that holds the failure."""
         threads = len(self.spec.threads)
         return {
-            "base": "breakage",
+            "breakage": "breakage",
             "dual": dual_column(threads),
             "system": failure_column("s", threads),
             "mission": failure_column("m", threads),
@@ -136,7 +141,7 @@ def boundary_plan(
     _check(of, system, level, trials, shams)
     name, axis = _base(spec, base), axis or dose_axis(kind.removesuffix(_CREEPING))
     # B does not depend on the threads, R_1 on the first alone.
-    threads = spec.threads[:1] if of in ("base", "recovery") else spec.threads
+    threads = spec.threads[:1] if of in ("breakage", "recovery") else spec.threads
     design = {
         # All that decides the doses, so that no other search goes on with the ledger. The level does not.
         "name": f"{_PREFIX}{of}-{shams}-{batch}",
@@ -181,10 +186,10 @@ def _base(spec: ExperimentSpec, base: str | None) -> str:
     if name not in spec.bases:
         known = list(spec.bases)
         remedy = f"use {guess(name, known)}one of {', '.join(known)}"
-        raise InputError("--base", f"{spec.name} has no base {name}", remedy)
+        raise InputError("--world", f"{spec.name} has no {name} among its bases", remedy)
     if spec.bases[name].each_member:
         problem = f"{name} of {spec.name} stands for every member of its family"
-        raise InputError("--base", problem, "name one member as the family of a base")
+        raise InputError("--world", problem, "name one member as the family of a base")
     return name
 
 

@@ -1,5 +1,6 @@
 """The answer of a boundary search: one line, boundary.json and boundary.png."""
 
+from collections.abc import Callable
 from functools import partial
 from math import isfinite
 from pathlib import Path
@@ -12,7 +13,7 @@ from dslab.experiments.campaign.folder import read_rows
 from dslab.experiments.eq1.boundary_plan import FAILURES, BoundaryPlan
 from dslab.experiments.eq1.records import Outcome
 from dslab.experiments.eq1.units import RECOVERING
-from dslab.experiments.report.conditions import axis_label, describe_label
+from dslab.experiments.report.conditions import axis_label, describe_base, describe_label
 from dslab.experiments.report.plots.boundary import draw_boundary
 from dslab.experiments.report.plots.draw import rendered
 from dslab.experiments.report.plots.style import WIDE_IN, settings
@@ -22,12 +23,21 @@ from dslab.scenarios.describe import describe_field, label_and_unit, measured
 from dslab.sim.io.folders import write_file
 
 JSON_FILE, PICTURE_FILE = "boundary.json", "boundary.png"
-FORMAT = 1
+FORMAT = 2
 _POINTS = 121
+_MEASURED_TRIALS = 3
+"""Trials of which some frames are rendered to measure what the dose is in the images."""
 
 
-def write_boundary(plan: BoundaryPlan, folder: Path) -> dict[str, Any]:
+def write_boundary(
+    plan: BoundaryPlan, folder: Path, progress: Callable[[int, int], None] = lambda done, total: None
+) -> dict[str, Any]:
     """Write boundary.json and boundary.png of a search into its folder.
+
+    Args:
+        plan: of the search.
+        folder: with its trials.
+        progress: called with the numbers of trials in which the dose is measured, done and to do.
 
     Returns:
         What is in boundary.json.
@@ -36,13 +46,37 @@ def write_boundary(plan: BoundaryPlan, folder: Path) -> dict[str, Any]:
         InputError: the folder is not that of the search, or cannot be written.
     """
     found = boundary_content(BoundarySchedule(plan, read_rows(folder)[1]))
+    found["measured"] = None if found["dose"] is None else _measured(plan, found["dose"], progress)
     with settings():
-        figure = draw_boundary(found, WIDE_IN)
+        figure = draw_boundary(found, WIDE_IN, searched_text(found))
         png = rendered("boundary", found["answer"], figure).png
     text = to_json(found, 1) + "\n"
     write_file(folder / JSON_FILE, partial(Path.write_text, data=text, encoding="utf-8"))
     write_file(folder / PICTURE_FILE, partial(Path.write_bytes, data=png))
     return found
+
+
+def searched_text(found: dict[str, Any]) -> list[str]:
+    """What was searched, a line each: world, motion and camera, and what the dose is in the images."""
+    lines = [f"{part}: {found['searched'][part]}" for part in ("world", "motion", "camera")]
+    if of := found["measured"]:
+        label, unit = label_and_unit(of["name"])
+        lines.append(f"{label} at {describe_field(of['field'], of['dose'])}: {measured(of['value'])}{unit}")
+    return lines
+
+
+def _measured(plan: BoundaryPlan, dose: float, progress: Callable[[int, int], None]) -> dict[str, Any]:
+    """What the dose nearest to the answer measures in the images, by its kind's own measure."""
+    from dslab.sim.stress_check import stress_measure
+
+    near = min(range(len(plan.axis.doses)), key=lambda i: abs(plan.strengths[i] - plan.axis.strength(dose)))
+    values, name = [], ""
+    for trial in range(_MEASURED_TRIALS):
+        progress(trial, _MEASURED_TRIALS)
+        name, value = stress_measure(plan.spec.unit(plan.dose_cells[near], trial).scenario)
+        values.append(value)
+    about = {"field": plan.axis.field, "dose": plan.axis.doses[near], "trials": _MEASURED_TRIALS}
+    return {"name": name, "value": float(np.median(values)), **about}
 
 
 def boundary_content(schedule: BoundarySchedule) -> dict[str, Any]:
@@ -68,9 +102,11 @@ def boundary_content(schedule: BoundarySchedule) -> dict[str, Any]:
         "kind": plan.kind,
         "world": plan.spec.unit(plan.sham_cell, 0).scenario.world.kind,
         "base": next(iter(plan.spec.bases)),
+        "searched": describe_base(plan.spec, plan.sham_cell),
         "system": plan.system,
         "of": plan.of,
         "failure": FAILURES[plan.of],
+        "failure_name": plan.failure,
         "column": plan.column,
         "level": plan.level,
         "field": plan.axis.field,
@@ -105,7 +141,7 @@ def answer_text(found: Boundary, plan: BoundaryPlan) -> str:
     """The answer in one line."""
     base, axis = next(iter(plan.spec.bases)), plan.axis
     who = "" if plan.spec.systems[0] in RECOVERING else f"{plan.system}, "
-    of = f"{describe_label(plan.kind)}, {base}: {who}{plan.of} failure"
+    of = f"{describe_label(plan.kind)}, {base}: {who}{plan.failure}"
     ends = [_dose_within(plan, u) for u in (found.low, found.high)]
     status = status_of(found, plan)
     if status == "reached":

@@ -5,7 +5,17 @@ from typing import TYPE_CHECKING, Any
 from dslab.experiments.eq1.records import SHAM
 from dslab.experiments.eq1.units import system_label
 from dslab.experiments.report.describe import listed
-from dslab.scenarios.describe import describe_field, describe_kind, label_and_unit, plain
+from dslab.scenarios.describe import (
+    describe_camera,
+    describe_field,
+    describe_kind,
+    describe_motion,
+    describe_world,
+    label_and_unit,
+    plain,
+)
+from dslab.scenarios.describe_family import describe_parameter
+from dslab.scenarios.distributions import is_distribution, parse_distribution
 
 if TYPE_CHECKING:
     from dslab.experiments.eq1.spec import ExperimentSpec
@@ -43,6 +53,25 @@ def _condition(spec: "ExperimentSpec", number: int, name: str) -> dict[str, Any]
     named = ", ".join(stress)
     system = f" ({system_label(cell.system)})" if name != cell.image else ""
     return found | {"stress": named, "name": f"{named}{system}"}
+
+
+def describe_base(spec: "ExperimentSpec", cell: str) -> dict[str, str]:
+    """Describe ``world``, ``motion`` and ``camera`` of a cell's units in physical units and as drawn."""
+    scenario = spec.unit(cell, 0).scenario
+    found = {}
+    for name, part, describe in (
+        ("world", "world", describe_world),
+        ("motion", "trajectory", describe_motion),
+        ("camera", "camera", describe_camera),
+    ):
+        words, values = describe(scenario), getattr(scenario, part)
+        written = [node for variant in spec.cells[cell].written for node in variant[part].items()]
+        for field, node in written:
+            if is_distribution(node) and hasattr(values, field):
+                drawn = f"{label_and_unit(field)[0]} {describe_parameter(field, parse_distribution(node))}"
+                words = words.replace(describe_field(field, getattr(values, field)), drawn)
+        found[name] = words
+    return found
 
 
 def axis_label(field: str) -> str:

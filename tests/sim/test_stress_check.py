@@ -6,7 +6,7 @@ import pytest
 from dslab.scenarios.spec import Scenario
 from dslab.sim.frame_plan import plan_frames, render_backend
 from dslab.sim.sequence_rendering import render_sequence
-from dslab.sim.stress_check import stress_acts
+from dslab.sim.stress_check import stress_acts, stress_measure
 
 CAMERA = {"width_px": 128, "height_px": 96, "fx_px": 90, "fy_px": 90, "cx_px": 63.5, "cy_px": 47.5, "fps": 10}
 
@@ -48,6 +48,16 @@ def test_it_is_what_the_truth_of_the_whole_sequence_says(segment, acts, tmp_path
     of = scenario(**segment)
     truth = render_sequence(of, cache_dir=tmp_path).segments[0].first_frame >= 0
     assert stress_acts(of) == truth and acts in (truth, None)
+
+
+def test_a_dose_is_measured_in_the_images_as_the_truth_measures_it(tmp_path):
+    name, blur_px = stress_measure(of := scenario(kind="motion_blur", exposure_s=0.2))
+    rendered = render_sequence(of, cache_dir=tmp_path)
+    within = (rendered.stamps_s >= 1.5) & (rendered.stamps_s < 2.5)
+    middle = np.sort(np.flatnonzero(within)[3:7])
+    assert name == "blur_px"
+    assert blur_px == pytest.approx(np.median(rendered.frame_truth["blur_px"][middle]), rel=0.2)
+    assert stress_measure(scenario(kind="time_jitter", sigma_s=0.02))[0] == "stamp_error_s"
 
 
 @pytest.mark.parametrize("world", ["corridor", "warehouse"])

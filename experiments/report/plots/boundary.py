@@ -2,6 +2,7 @@
 
 import textwrap
 from collections import Counter
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,15 @@ _ROW, _PILE = 0.035, 0.4
 """Distance of two trials of the same dose and outcome, and most height of them all, as probabilities."""
 
 
-def draw_boundary(found: dict[str, Any], width_in: float) -> Figure:
-    """Draw the figures of ``boundary_content``: stress grows to the right, also where less is stronger."""
-    figure = new_figure(4.2, width_in)
+def draw_boundary(found: dict[str, Any], width_in: float, searched: Sequence[str] = ()) -> Figure:
+    """Draw the figures of ``boundary_content``: stress grows to the right, also where less is stronger.
+
+    Args:
+        found: the figures.
+        width_in: width in inches.
+        searched: lines that say what was searched, written below.
+    """
+    figure = new_figure(4.2 + 0.17 * len(searched), width_in)
     shams, axes = figure.subplots(1, 2, sharey=True, width_ratios=(1, 11))
     curve = found["curve"]
     axes.set_xscale("log")
@@ -52,7 +59,7 @@ def draw_boundary(found: dict[str, Any], width_in: float) -> Figure:
     shams.set_xlim(-0.6, 0.6)
     shams.grid(visible=False, axis="x")
     shams.axhline(found["level"], color=GREY, linewidth=0.9, linestyle="--")
-    shams.set_ylabel(f"probability of {found['of']} failure")
+    shams.set_ylabel(f"probability of {found['failure_name']}")
     percent_axis(shams.yaxis)
     shams.set_yticks(np.linspace(0, 1, 5))
     shams.tick_params(axis="x", length=0)
@@ -60,6 +67,10 @@ def draw_boundary(found: dict[str, Any], width_in: float) -> Figure:
     title = "\n".join(textwrap.wrap(found["answer"], round(13 * width_in)))
     figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     columns = 5 if width_in > NARROW_IN else 2
+    below = [line for text in searched for line in textwrap.wrap(text, round(17 * width_in))]
+    # The legend, which lies at the very bottom too, takes the empty lines.
+    below += [""] * (1 + len(_legend(found)) // columns) if below else []
+    figure.supxlabel("\n".join(below), fontsize=7.5, x=0.01, ha="left", linespacing=1.4)
     figure.legend(handles=_legend(found), loc="outside lower right", ncols=columns, fontsize=8.5)
     return figure
 

@@ -24,7 +24,7 @@ from dslab.scenarios.segments import SEGMENT_KINDS, SegmentBase
 SPEC = load_spec("smoke")
 
 
-def plan_of(kind="motion_blur", level=0.5, of="base", trials=40, **options):
+def plan_of(kind="motion_blur", level=0.5, of="breakage", trials=40, **options):
     return boundary_plan(SPEC, kind, of, level, trials=trials, **options)
 
 
@@ -162,7 +162,7 @@ def test_a_level_that_shams_reach_is_refused():
     assert [unit.kind for unit in units] == ["sham"] * 8
     for unit in units:
         schedule.finish(planted_unit(unit) | {"breakage": unit.index < 2})
-    refused = r"0\.25 is not above the sham rate: 2 of 8 fail without stress"
+    refused = r"dual: 2 of 8 trials fail without stress; give --fail above 0\.25, or mend the system"
     with pytest.raises(InputError, match=refused):
         schedule.next()
     with pytest.raises(InputError, match=refused):
@@ -197,9 +197,9 @@ def test_another_question_is_another_experiment(tmp_path):
 
 
 def test_the_failure_is_the_column_that_eq1_names():
-    columns = {of: plan_of(of=of).column for of in ("base", "dual", "system", "mission", "recovery")}
+    columns = {of: plan_of(of=of).column for of in ("breakage", "dual", "system", "mission", "recovery")}
     whole = dual_column(len(SPEC.threads))
-    assert columns == {"base": "breakage", "dual": whole, "system": "s2", "mission": "m2",
+    assert columns == {"breakage": "breakage", "dual": whole, "system": "s2", "mission": "m2",
                        "recovery": "cross_r1_failed"}  # fmt: skip
     assert plan_of(of="recovery").spec.arms == ("crossing",) and plan_of().spec.arms == ("free",)
 
@@ -216,11 +216,11 @@ def test_every_kind_has_an_axis_whose_doses_rise_in_strength_and_are_valid():
 
 def test_times_and_fields_are_those_of_the_spec():
     run = load_spec("eq1")
-    plan = boundary_plan(run, "fast_rotation", "base", 0.5, base="room")
+    plan = boundary_plan(run, "fast_rotation", "breakage", 0.5, base="room")
     (segment,) = plan.spec.unit(plan.dose_cells[3], 0).scenario.segments
     assert (segment.axis, segment.duration_s, segment.start_s) == ("yaw", 1.0, 5.5)
     assert segment.rate_degps == plan.axis.doses[3]
-    creeping = boundary_plan(run, "fog-creeping", "base", 0.5, base="room")
+    creeping = boundary_plan(run, "fog-creeping", "breakage", 0.5, base="room")
     (segment,) = creeping.spec.unit(creeping.dose_cells[0], 0).scenario.segments
     assert (segment.ramp_s, segment.fall_s) == (2.0, 0.0) and creeping.kind == "fog-creeping"
     assert boundary_plan(run, "defocus-creeping", "dual", 0.5).spec.confirmatory_threads is None
@@ -229,7 +229,10 @@ def test_times_and_fields_are_those_of_the_spec():
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"base": "corridr"}, r"--base: smoke has no base corridr; use corridor \(did you mean that\?\)"),
+        (
+            {"base": "corridr"},
+            r"--world: smoke has no corridr among its bases; use corridor \(did you mean that\?\)",
+        ),
         ({"level": 1.0}, "--fail: 1 is no probability that a dose can have"),
         ({"level": 0.0}, "--fail: 0 is no probability"),
         ({"trials": 8}, "--trials: 8 trials leave none with stress beside 8 without"),
@@ -282,3 +285,26 @@ def test_kinds_from_outside_are_searched_if_they_have_a_number():
     finally:
         for kind in ("eclipse", "smoke"):
             SEGMENT_KINDS.remove(kind)
+
+
+@pytest.mark.parametrize(
+    ("change", "ended", "said"),
+    [
+        (
+            {"breakage": True, "breakage_reason": "few_inliers"},
+            4,
+            r"dual: 4 of 4 trials fail .* \(few inliers\); mend",
+        ),
+        (
+            {"outcome": "void", "void_reason": "no_map", "breakage": None},
+            8,
+            "all 8 trials .* are void: no map; see one",
+        ),
+    ],
+)
+def test_a_system_that_fails_without_stress_is_refused_as_soon_as_that_is_sure(change, ended, said):
+    schedule = BoundarySchedule(plan_of())
+    for _ in range(ended):
+        schedule.finish(planted_unit(schedule.next()) | {"outcome": "completed"} | change)
+    with pytest.raises(InputError, match=said):
+        schedule.next()

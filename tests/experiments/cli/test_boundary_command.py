@@ -15,7 +15,7 @@ from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.report.boundary import answer_text, boundary_content
 from dslab.experiments.statistics.boundary import Boundary
 
-BLUR = ("experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5", "--spec", "smoke")
+BLUR = ("experiment", "boundary", "motion_blur", "--of", "breakage", "--fail", "0.5", "--spec", "smoke")
 
 
 @pytest.fixture
@@ -24,6 +24,7 @@ def search(dslab, monkeypatch, tmp_path):
 
     monkeypatch.setattr("dslab.experiments.campaign.workers.open_pool", open_local_pool)
     monkeypatch.setattr("dslab.experiments.eq1.trial.run_unit", planted_unit)
+    monkeypatch.setattr("dslab.sim.stress_check.stress_measure", lambda scenario: ("blur_px", 12.34))
     return lambda *arguments: dslab(*arguments, "--out", tmp_path / "b")
 
 
@@ -33,7 +34,11 @@ def test_a_search_prints_its_answer_and_writes_json_and_picture(search, tmp_path
     assert code == 0 and err == ""
     lines = out.splitlines()
     assert lines[0] == found["answer"]
-    assert lines[0].startswith("motion blur, corridor: base failure reaches 0.5 at exposure 0.")
+    assert lines[0].startswith("motion blur, corridor: breakage reaches 0.5 at exposure 0.")
+    assert lines[2].startswith("world: corridor, lamp level 1, length uniform from 36 to 50 m, width 2.4 m")
+    assert lines[3].startswith("motion: walk, max speed uniform from 0.8 to 1.1 m/s, ")
+    assert lines[4].startswith("camera: 320 × 240 px, 15 frames/s, focal length 250 × 250 px, ")
+    assert lines[5].startswith("blur at exposure 0.") and lines[5].endswith(" s: 12.3 px")
     assert lines[1].startswith("40 trials in as many worlds, ") and "without stress 0 of 8 fail" in lines[1]
     assert found["status"] == "reached" and found["low"] < found["dose"] < found["high"]
     assert found["dose"] == pytest.approx(0.1, rel=0.4) and found["field"] == "exposure_s"
@@ -62,7 +67,7 @@ def test_the_boundary_of_another_system_is_searched_by_its_name(search, tmp_path
     code, out, err = search(*blur, "--of", "mission", "--system", "dso")
     assert code == 0 and out.startswith("motion blur, corridor: dso, mission failure ")
     assert {row["system"] for row in read_rows(tmp_path / "b")[1]} == {"dso"}
-    for of, system, says in (("dual", "dso", "recovery threads"), ("base", "dsoo", "no system 'dsoo'")):
+    for of, system, says in (("dual", "dso", "recovery threads"), ("breakage", "dsoo", "no system 'dsoo'")):
         code, _, err = search(*blur, "--of", of, "--system", system)
         assert code == 2 and says in err and err.count("\n") == 1
 
@@ -108,7 +113,7 @@ def test_the_folder_of_a_search_is_that_of_an_experiment(search, dslab, monkeypa
     assert code == 0 and "agrees with the ledger" in out
     assert dslab("experiment", "export", tmp_path / "b")[0] == 0
     code, out, _ = dslab("experiment", "status", tmp_path / "b")
-    assert code == 0 and "20 of 420 units" in out
+    assert code == 0 and "20 of 20 trials of the search, finished, " in out and " / " not in out
 
 
 @pytest.mark.slow
@@ -123,16 +128,19 @@ def test_doses_that_outcomes_have_chosen_have_no_report(search, dslab, tmp_path)
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["blur", "--of", "base", "--fail", "0.5"], "error: blur: there is no such kind of stress; use "),
-        (["jpeg", "--of", "base", "--fail", "1.5"], "error: --fail: 1.5 is no probability"),
-        (["jpeg", "--of", "base", "--fail", "nan"], "error: --fail: nan is no probability"),
-        (["jpeg", "--of", "base", "--fail", "0.5", "--dose", "fall_s"], "error: --dose: "),
-        (["jpeg", "--of", "base", "--fail", "0.5", "--strongest", "-1"], "error: --strongest: -1 has no log"),
+        (["blur", "--of", "breakage", "--fail", "0.5"], "error: blur: there is no such kind of stress; use "),
+        (["jpeg", "--of", "breakage", "--fail", "1.5"], "error: --fail: 1.5 is no probability"),
+        (["jpeg", "--of", "breakage", "--fail", "nan"], "error: --fail: nan is no probability"),
+        (["jpeg", "--of", "breakage", "--fail", "0.5", "--dose", "fall_s"], "error: --dose: "),
         (
-            ["jpeg", "--of", "base", "--fail", "0.5", "--spec", "none"],
+            ["jpeg", "--of", "breakage", "--fail", "0.5", "--strongest", "-1"],
+            "error: --strongest: -1 has no log",
+        ),
+        (
+            ["jpeg", "--of", "breakage", "--fail", "0.5", "--spec", "none"],
             "error: none: no such experiment; use ",
         ),
-        (["jpeg", "--of", "base", "--fail", "0.5", "--base", "moon"], "error: --base: "),
+        (["jpeg", "--of", "breakage", "--fail", "0.5", "--world", "moon"], "error: --world: "),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_no_folder(search, arguments, said, tmp_path):
@@ -145,7 +153,7 @@ def test_the_folder_of_another_search_or_of_other_files_is_refused_and_kept(sear
     search(*BLUR, "--trials", 12)
     before = (tmp_path / "b" / "boundary.json").read_bytes()
     code, _, err = search(*BLUR, "--trials", 12, "--strongest", "0.5")
-    assert code == 2 and err.count("\n") == 1 and "holds rows of another spec (boundary-base-8-4" in err
+    assert code == 2 and err.count("\n") == 1 and "holds rows of another spec (boundary-breakage-8-4" in err
     assert (tmp_path / "b" / "boundary.json").read_bytes() == before
 
 
@@ -159,6 +167,6 @@ def test_an_answer_without_bounds_says_so():
 
 
 def test_a_search_without_any_trial_yet_has_an_answer():
-    plan = boundary_plan(load_spec("smoke"), "jpeg", "base", 0.5)
+    plan = boundary_plan(load_spec("smoke"), "jpeg", "breakage", 0.5)
     found = boundary_content(BoundarySchedule(plan))
     assert found["trials"] == [] and found["sham"]["trials"] == 0 and 0 < found["sham"]["rate"] < 0.2
