@@ -1,7 +1,7 @@
 """``dslab experiment``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -10,7 +10,6 @@ from dslab.experiments.cli.console import (
     JsonOption,
     SystemsOption,
     number,
-    out,
     print_error_line,
     print_json_line,
     print_rows,
@@ -18,6 +17,7 @@ from dslab.experiments.cli.console import (
     progress_bars,
     say,
 )
+from dslab.experiments.cli.experiment_answer import print_report, print_systems, print_warnings
 from dslab.experiments.cli.fuzz import fuzz_command
 from dslab.experiments.cli.proofs import power_command, prove_command
 from dslab.experiments.cli.units import (
@@ -138,6 +138,7 @@ def run_command(
         status_command(out_dir, as_json=True)
         return
     say(f"{tally.done} of {tally.total} units: {estimates_text(tally)}")
+    _print_systems_of(out_dir)
     if tally.retries:
         say(f"{tally.retries} attempts ended in infrastructure errors: see dslab experiment status {out_dir}")
     say(f"next: dslab experiment report {out_dir}")
@@ -146,6 +147,18 @@ def run_command(
             f"{tally.errors} of {tally.done} units were given up, most for: {tally.cause}; "
             "mend it and run the same command again with --retry-errors"
         )
+
+
+def _print_systems_of(folder: Path) -> None:
+    """Print what the report will say of systems that are compared, and of any that fails without stress."""
+    from dslab.experiments.campaign.folder import read_experiment
+    from dslab.experiments.report.conditions import conditions
+    from dslab.experiments.report.systems import beside_each_other, sham_warnings
+
+    spec, table = read_experiment(folder)
+    print_warnings(sham_warnings(table, len(spec.threads)))
+    if beside := beside_each_other(spec, table):
+        print_systems(beside, conditions(spec))
 
 
 def _tell_idle_cells(spec: "ExperimentSpec", folder: Path) -> None:
@@ -292,31 +305,8 @@ def report_command(
 
     with progress_bars() as show:
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
-    if answer := read_json(folder / FIGURES, dict).get("answer"):
-        _print_answer(answer)
+    print_report(read_json(folder / FIGURES, dict))
     say(f"report in {path}")
-
-
-def _print_answer(answer: dict[str, Any]) -> None:
-    """Print verdict, paragraph, and predicted and measured shares of a report."""
-    from dslab.experiments.report.describe import ends_percent, percent
-
-    out.print(answer["headline"])
-    out.print(" ".join(answer["sentences"]))
-    rows = (
-        {
-            "kind of world": row["world"],
-            "worlds": row["worlds"],
-            "n": row["n"],
-            "Eq. 1": percent(row["eq1"]),
-            "weakest link": percent(row["weakest"]),
-            "measured": percent(row["measured"]["value"]) if row["measured"] else None,
-            "95 %, by worlds": ends_percent(row["measured"]) if row["measured"] else None,
-        }
-        for row in answer["rows"]
-    )
-    if answer["rows"]:
-        print_rows(rows)
 
 
 @app.command("schema")

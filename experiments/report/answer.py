@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dslab.experiments.report.conditions import describe_label, describe_stress, thread_names
-from dslab.experiments.report.describe import interval_of_share, listed, percent, plural
+from dslab.experiments.report.describe import interval_of_share, listed, p_value, percent, plural
+from dslab.experiments.statistics.verdicts import LEVEL
 
 LEAST_WORLDS = 10
 """Worlds with the event below which nothing is tested (`statistics.verdicts`)."""
@@ -45,7 +46,55 @@ class Answer:
 
 
 def answer(results: dict[str, Any]) -> Answer:
-    """Answer the question of an experiment from its figures."""
+    """Answer the question of an experiment from its figures: of systems compared, then of Eq. 1."""
+    of_eq1 = _of_eq1(results)
+    if results["systems"] is None:
+        return of_eq1
+    headline, sentences = systems_answer(results["systems"])
+    headlines = [headline, of_eq1.headline] if results["asks_eq1"] else [headline]
+    return Answer(" ".join(headlines), [*sentences, *of_eq1.sentences], of_eq1.rows)
+
+
+def has_crossing_arm(results: dict[str, Any]) -> bool:
+    """True if the threads crossed every segment, which gives the pr of Eq. 1."""
+    return "crossing" in results["experiment"]["spec"]["arms"]
+
+
+def systems_answer(beside: dict[str, Any]) -> tuple[str, list[str]]:
+    """How often each system fails under stress, and which differ.
+
+    Args:
+        beside: ``systems`` of the figures, of which all is taken.
+
+    Returns:
+        The headline, and the sentences behind it.
+    """
+    under = {about["system"]: about["under_stress"] for about in beside["about"]}
+    worlds = dict.fromkeys(share["world"] for shares in under.values() for share in shares)
+    each = []
+    for world in worlds:
+        shares = [
+            (name, s["mission_failure"]) for name, of in under.items() for s in of if s["world"] == world
+        ]
+        said = ", ".join(f"{name} {interval_of_share(share)}" for name, share in shares)
+        each.append(f"{world.replace('_', ' ')}: {said}" if len(worlds) > 1 else said)
+    if not each:
+        return "No trial under stress is completed.", []
+    sentences = []
+    for pair in beside["over_doses"]:
+        if pair["failure"] == "mission_failure":
+            surely = pair["p"] is not None and pair["p"] <= LEVEL
+            than = "less" if pair["difference"] < 0 else "more"
+            verdict = f"fails {than} often than" if surely else "is not told from"
+            points = 100 * pair["difference"]
+            sentences.append(
+                f"{pair['first']} {verdict} {pair['second']} ({pair['world'].replace('_', ' ')}: "
+                f"{points:+.1f} points over {plural(pair['worlds'], 'world')}, p {p_value(pair['p'])})."
+            )
+    return f"Missions that fail under stress: {'; '.join(each)}.", sentences
+
+
+def _of_eq1(results: dict[str, Any]) -> Answer:
     analysis = results["analysis"]
     told = confirmed(analysis["cells"])
     if not results["asks_eq1"]:
@@ -55,6 +104,10 @@ def answer(results: dict[str, Any]) -> Answer:
         return Answer("Not asked: no system has recovery threads.", [said], [])
     if not results["free_arm"]:
         return Answer("Eq. 1 is not asked: only the crossing arm ran.", [*_crossings(results)], [])
+    if not has_crossing_arm(results):
+        said = "Without the crossing arm no failure of a thread is known apart from breakages."
+        left = [said, _tried(results), _certainty(results), _limits(results)]
+        return Answer("Eq. 1 is not asked: only the free arm ran.", left, [])
     asked = [_ASKED, _tried(results)]
     if not told:
         return Answer("No result yet: no trial is completed.", asked, [])

@@ -13,7 +13,7 @@ from dslab.experiments.report.conditioning import conditioning
 from dslab.experiments.report.conditions import conditions
 from dslab.experiments.report.describe import plural
 from dslab.experiments.report.plain_data import as_data
-from dslab.experiments.report.systems import asks_eq1, beside_each_other, labels
+from dslab.experiments.report.systems import asks_eq1, beside_each_other, labels, sham_warnings
 from dslab.experiments.runs import provenance
 from dslab.experiments.statistics.analysis import analyse
 
@@ -73,7 +73,7 @@ def report_content(
         "conditions": conditions(spec),
         "units": units,
         "worlds_of_kinds": outcomes.worlds_of_kinds(table),
-        "warnings": _warnings(units, whole),
+        "warnings": _warnings(units, whole, threads),
         "systems": beside_each_other(spec, whole),
         "analysis": analysis,
         "lengths": _lengths(table),
@@ -117,8 +117,8 @@ def _about(spec: "ExperimentSpec") -> dict[str, Any]:
     }
 
 
-def _warnings(units: dict[str, Any], table: pd.DataFrame) -> list[str]:
-    warnings = []
+def _warnings(units: dict[str, Any], table: pd.DataFrame, threads: int) -> list[str]:
+    warnings = sham_warnings(table, threads)
     if units["missing"]:
         warnings.append(
             f"{units['missing']} of {units['planned']} planned trials are not recorded: figures will change."

@@ -73,7 +73,7 @@ class FakeSpec:
         )
 
     def model_dump(self, mode: str) -> dict:
-        return {"name": self.name, "units": self.units, "description": "<b>Made</b> up."}
+        return {"name": self.name, "units": self.units, "arms": self.arms, "description": "<b>Made</b> up."}
 
     def as_yaml(self) -> str:
         return f"name: {self.name}\nunits: {self.units}\n"

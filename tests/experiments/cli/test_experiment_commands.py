@@ -67,6 +67,17 @@ def test_a_run_can_be_read_and_made_longer(dslab, smoke, plain):
     assert code == 0 and [cell["units"] for cell in status["cells"]] == [4, 4]
 
 
+def test_the_end_of_a_run_names_every_system_with_its_doses(dslab, smoke, plain, tmp_path):
+    path = tmp_path / "two.yaml"
+    path.write_text(plain.read_text().replace("- dual\n", "- dual\n- base\n"))
+    code, out, _ = dslab("experiment", "run", path, "--out", tmp_path / "two")
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert code == 0 and "; base: p0 " in lines[0]
+    for dose in ("contrast 0.3", "contrast 0.02"):
+        assert any(line.startswith(f"low texture, {dose} dual 4 ") for line in lines)
+        assert any(line.startswith(f"low texture, {dose} base ") for line in lines)
+
+
 def test_an_unknown_system_is_one_line_before_anything_runs(dslab, smoke, plain, tmp_path):
     path = tmp_path / "own.yaml"
     path.write_text(plain.read_text().replace("- dual\n", "- dual\n- orbslam33\n"))
@@ -348,6 +359,6 @@ def test_the_example_of_a_class_runs_through_experiment_and_report(dslab, tmp_pa
     assert set(rows.outcome[rows.system == "base"]) == {"completed"}
     assert dslab("experiment", "replay", tmp_path / "x", f"{rows.index[-1]}:0")[0] == 0
     code, out, _ = dslab("experiment", "report", tmp_path / "x")
-    assert code == 0 and out.startswith("Not asked: no system has recovery threads.")
+    assert code == 0 and "No trial" not in out and "Missions that fail under stress: base " in out
     page = (tmp_path / "x" / "report.html").read_text()
     assert "Systems beside each other" in page and "the lead-in cannot be judged" in page

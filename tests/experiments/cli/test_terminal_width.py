@@ -74,7 +74,7 @@ def test_the_report_prints_its_answer(dslab, monkeypatch, tmp_path):
     answer = {"headline": "No.", "sentences": ["Asked."], "rows": [row]}
 
     def write(folder, *_):
-        (folder / "report.json").write_text(json.dumps({"answer": answer}))
+        (folder / "report.json").write_text(json.dumps({"answer": answer, "warnings": [], "systems": None}))
         return folder / "report.html"
 
     monkeypatch.setattr("dslab.experiments.report.write.write_report", write)

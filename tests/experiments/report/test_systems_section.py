@@ -1,5 +1,6 @@
 """Systems beside each other on the page of an experiment."""
 
+import re
 from types import SimpleNamespace
 
 import pytest
@@ -10,6 +11,7 @@ from dslab.experiments.report.content import report_content
 from dslab.experiments.report.page import report_html
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from dslab.experiments.report.plots.systems import draw_systems
+from dslab.experiments.report.systems import sham_warnings
 
 FEW = 99
 
@@ -63,13 +65,53 @@ def test_the_page_says_by_what_a_breakage_is_known_and_links_the_section(two):
 
 def test_without_recovery_threads_the_page_does_not_ask_eq1(tmp_path):
     alone = made(tmp_path, "Own")
-    assert alone.report["answer"]["headline"] == "Not asked: no system has recovery threads."
+    assert alone.report["answer"]["headline"].startswith("Missions that fail under stress: Own ")
+    assert "none of these systems has" in alone.report["answer"]["sentences"][-1]
     assert {"href": "#systems"} in alone.page.all("a") and {"href": "#chain"} not in alone.page.all("a")
 
 
 def test_one_system_with_recovery_threads_stands_beside_none(tmp_path):
     alone = made(tmp_path, "dual")
     assert alone.report["systems"] is None and {"href": "#systems"} not in alone.page.all("a")
+
+
+def test_the_answer_names_every_system_with_its_failures_before_eq1(two):
+    headline, sentences = two.report["answer"]["headline"], two.report["answer"]["sentences"]
+    assert re.match(
+        r"Missions that fail under stress: dual [\d.]+ % \[.*\], Own [\d.]+ % \[.*\]\. \w", headline
+    )
+    done = two.table[two.table.outcome == "completed"]
+    own = done[done["cell"].str.endswith("/Own")]
+    by_world = own.groupby(["world_seed", "cell", "sequence"]).m2.mean().groupby(level=[0, 1]).mean()
+    assert f"Own {100 * by_world.groupby(level=0).mean().mean():.1f} %" in headline
+    assert re.match(r"dual (is not told from|fails (less|more) often than) Own \(corridor: ", sentences[0])
+    assert headline in two.page.text
+
+
+def test_a_run_of_the_free_arm_alone_has_no_figure_of_eq1(tmp_path):
+    spec = FakeSpec(doses=1, units=12, arms=("free",))
+    table = fake_table(spec)
+    table["m2"] = table["breakage"]
+    report = report_content(spec, table, tmp_path, FEW)
+    assert report["answer"]["headline"].endswith("Eq. 1 is not asked: only the free arm ran.")
+    assert report["answer"]["rows"] == []
+    page = Page(report_html(report, {}))
+    assert {"href": "#systems"} in page.all("a") and {"href": "#chain"} not in page.all("a")
+
+
+def test_a_system_that_fails_without_stress_or_of_which_nothing_counts_is_named(two):
+    table = two.table.copy()
+    assert sham_warnings(table, 2) == []
+    own = table["cell"].str.endswith("/Own").to_numpy(bool)
+    sham = own & table["cell"].str.startswith("motion_blur/1").to_numpy(bool)
+    table["system"] = ["Own" if foreign else "dual" for foreign in own]
+    table.loc[sham, ["kind", "breakage", "breakage_reason"]] = ["sham", True, "no_pose"]
+    count = (table[sham].outcome == "completed").sum()
+    (warning,) = sham_warnings(table, 2)
+    assert warning.startswith(f"Own fails without stress in {count} of {count} trials, most for: no pose: ")
+    table.loc[own, ["outcome", "void_reason"]] = ["void", "no map"]
+    (warning,) = sham_warnings(table, 2)
+    assert warning.startswith("Nothing is known of Own: all its 72 trials are void, most for: no map. See")
 
 
 def test_every_system_has_a_point_at_every_dose(two):
