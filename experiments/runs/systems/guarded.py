@@ -1,11 +1,9 @@
-"""A program in a process group of its own, within limits of time and memory: its end is always known."""
+"""A program with all that comes of it, within limits of time and memory: its end is always known."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -17,6 +15,7 @@ import psutil
 
 from dslab.experiments.runs.ending import Ending, EndKind
 from dslab.scenarios.errors import InputError
+from dslab.sim.unfinished import scratch_folder
 
 _GUARD = Path(__file__).with_name("guard.py")
 _LOOK_S = 0.05
@@ -57,8 +56,8 @@ def run_guarded(words: list[str], log: Path, time_s: float, memory_mb: float, cw
     Raises:
         InputError: it cannot be started.
     """
-    with tempfile.TemporaryDirectory(prefix="dslab-guard-") as folder:
-        report = Path(folder) / "report.json"
+    with scratch_folder() as folder:
+        report = folder / "report.json"
         guarded = [sys.executable, "-S", str(_GUARD), str(report), str(_FILE_BYTES), *words]
         started_s = time.perf_counter()
         process = subprocess.Popen(
@@ -131,17 +130,17 @@ def _resident_mb(pid: int) -> float:
 
 
 def _end_all(process: subprocess.Popen) -> None:
-    """Kill the group, and descendants that have left it."""
+    """Close the pipe of the guard, which ends the program with all that came of it; then the guard."""
     left = _descendants(process.pid)
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
-    for other in left:
-        with suppress(psutil.Error):
-            other.kill()
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(_KILL_S)
     if process.stdin is not None:
         process.stdin.close()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(_KILL_S)
+        return
+    for other in (*left, process):
+        with suppress(psutil.Error, OSError):
+            other.kill()
+    process.wait()
 
 
 class _Printed:

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from dslab.experiments.runs.systems.command_spec import read_command_spec
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.forms import load_sequence
 from dslab.sim.io.tum import write_tum
+from dslab.sim.unfinished import sweep_scratch
 
 FRAMES = 40
 
@@ -223,30 +225,48 @@ def test_what_it_prints_is_kept_up_to_a_size(run, tmp_path, monkeypatch):
     assert (tmp_path / LOG_FILE).stat().st_size == 5000 and record.ending.message.endswith("the last")
 
 
-def test_all_of_its_processes_end_with_it(run, tmp_path):
-    edit = f"""
-import subprocess
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(300)"])
-pathlib.Path({str(tmp_path / "pid")!r}).write_text(str(child.pid))
-time.sleep(100)
+DETACHED = """
+import os, sys, time
+if os.fork():
+    time.sleep(WAITS)
+else:
+    os.setsid()
+    if os.fork() == 0:
+        open(PID, "w").write(str(os.getpid()))
+        time.sleep(300)
+os._exit(0)
 """
-    record = run(edit, limits="{start_s: 1, slow_down: 0.001}")
-    assert record.ending.kind is EndKind.TIMED_OUT and _is_gone(int((tmp_path / "pid").read_text()))
 
 
-def test_it_ends_when_the_lab_is_killed(tmp_path):
+@pytest.mark.parametrize(
+    ("waits_s", "kind"),
+    [(0.5, EndKind.FINISHED), pytest.param(100, EndKind.TIMED_OUT, marks=pytest.mark.slow)],
+)
+def test_all_of_its_processes_end_with_it_also_those_that_have_left_its_session(run, tmp_path, waits_s, kind):
+    code = DETACHED.replace("WAITS", str(waits_s)).replace("PID", repr(str(tmp_path / "pid")))
+    edit = f"import subprocess; subprocess.run([sys.executable, '-c', {code!r}], check=False)"
+    record = run(edit, limits="{start_s: 2, slow_down: 0.001}")
+    assert record.ending.kind is kind and _is_gone(int((tmp_path / "pid").read_text()))
+
+
+def test_it_ends_when_the_lab_is_killed_and_its_folder_is_swept(tmp_path, monkeypatch):
     script = f"""
 import sys
 from pathlib import Path
 from dslab.experiments.runs.systems.guarded import run_guarded
-code = "import os, time; open({str(tmp_path / "pid")!r}, 'w').write(str(os.getpid())); time.sleep(300)"
+code = {DETACHED.replace("WAITS", "300").replace("PID", repr(str(tmp_path / "pid")))!r}
 run_guarded([sys.executable, "-c", code], Path({str(tmp_path / "log")!r}), 300, 1000, Path({str(tmp_path)!r}))
 """
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
     lab = subprocess.Popen([sys.executable, "-c", script])
     pid = _read_soon(tmp_path / "pid")
     os.kill(lab.pid, signal.SIGKILL)
     lab.wait()
     assert _is_gone(pid)
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    sweep_scratch()
+    assert not any((tmp_path / "tmp").iterdir())
 
 
 def _read_soon(path: Path) -> int:
