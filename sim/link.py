@@ -39,6 +39,7 @@ class View:
         exposure_s: shutter time; a usual one where unknown.
         index: its place in the sequence.
         shutter: poses during the exposure; None in a recording.
+        channel: which channel of a frame in colour the image is; None for a gray frame.
     """
 
     frame: int
@@ -49,6 +50,12 @@ class View:
     exposure_s: float = USUAL_EXPOSURE_S
     index: int = 0
     shutter: Shutter | None = None
+    channel: int | None = None
+
+    @property
+    def noise_names(self) -> tuple[int, ...]:
+        """Names of a random stream for this image alone: each channel has noise of its own."""
+        return (self.frame,) if self.channel is None else (self.frame, self.channel)
 
 
 class Link(Protocol):

@@ -30,9 +30,11 @@ class Need:
     size_bytes: int
 
 
-def images_need(place: Path, frames: int, size_px: tuple[int, int], depth: bool = False) -> Need:
+def images_need(
+    place: Path, frames: int, size_px: tuple[int, int], depth: bool = False, colour: bool = False
+) -> Need:
     """What a sequence folder needs at worst, if its images cannot be compressed."""
-    return Need(place, frames * size_px[0] * size_px[1] * (3 if depth else 1))
+    return Need(place, frames * size_px[0] * size_px[1] * ((3 if colour else 1) + (2 if depth else 0)))
 
 
 def check_room(what: str, frames: int, needs: Iterable[Need], force: bool = False) -> None:

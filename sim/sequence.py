@@ -106,7 +106,7 @@ class SegmentTruth:
 
 
 class FrameSource(Protocol):
-    """Random access to gray frames."""
+    """Random access to gray frames. One that has them in colour too has ``colour``: see ``colour_frame``."""
 
     def __len__(self) -> int: ...
 
@@ -192,6 +192,44 @@ class ChosenFrames:
 
     def __getitem__(self, index: int) -> np.ndarray:
         return self._source[int(self._kept[index])]
+
+    def colour(self, index: int) -> np.ndarray:
+        """See ``colour_frame``."""
+        return colour_frame(self._source, int(self._kept[index]))
+
+
+class InColour:
+    """A source whose frames are those in colour, to be written: what is judged and tracked is gray.
+
+    Args:
+        source: of gray frames; without colour it gives these.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        self._source = source
+        self.is_coloured = is_coloured(source)
+
+    def __len__(self) -> int:
+        return len(self._source)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        """(H, W, 3) uint8 blue, green, red, or (H, W) of a source without colour."""
+        image = colour_frame(self._source, index) if self.is_coloured else self._source[index]
+        return np.dstack([image] * 3) if self.is_coloured and image.ndim == 2 else image
+
+
+def colour_frame(source: FrameSource, index: int) -> np.ndarray:
+    """(H, W, 3) uint8 frame in blue, green and red, or the (H, W) gray one where the source has no colour."""
+    colour = getattr(source, "colour", None)
+    return source[index] if colour is None else colour(index)
+
+
+def is_coloured(source: FrameSource) -> bool:
+    """Whether the first, the middle or the last frame shows colour: equal channels are gray."""
+    if not len(source) or not hasattr(source, "colour"):
+        return False
+    some = (colour_frame(source, index) for index in sorted({0, len(source) // 2, len(source) - 1}))
+    return any(image.ndim == 3 and bool((image != image[..., :1]).any()) for image in some)
 
 
 def _is_number(value: object) -> bool:

@@ -180,7 +180,7 @@ def _frames(job: Job, scratch: Path) -> Sequence:
     spec = job.spec
     sequence = open_sequence(*job.scene, first_s=spec.first_s)
     if spec.stress:
-        sequence = degrade_sequence(sequence, spec.segments, spec.seed, scratch)  # type: ignore[arg-type]
+        sequence = degrade_sequence(sequence, spec.segments, spec.seed, scratch, colour=False)  # type: ignore[arg-type]
     first = int(job.about["first_frame"])
     if first >= len(sequence):
         problem = f"run {job.about['run']} leaves out {first} of {len(sequence)} frames"

@@ -112,6 +112,7 @@ def degrade_command(
         write_sequence,
     )
     from dslab.sim.room import check_room, images_need
+    from dslab.sim.sequence import is_coloured
 
     segments = [parse_segment(text) for text in segment]
     with progress_bars(kernels=False) as show:
@@ -124,10 +125,11 @@ def degrade_command(
         problem = "fast_rotation turns the images, not the inertial readings of the folder"
         raise InputError(str(source), problem, "add --format tum, which has none")
     check_free(out_dir)
-    # The degraded frames twice: as a stack, then as images.
-    size_px = sequence.camera.width_px, sequence.camera.height_px
-    images = images_need(out_dir, len(sequence), size_px, sequence.depths is not None)
-    check_room(str(source), len(sequence), [images_need(out_dir, len(sequence), size_px), images], force)
+    # The degraded frames twice: as stacks, in colour beside one in gray, then as images.
+    colour, size_px = is_coloured(sequence.frames), (sequence.camera.width_px, sequence.camera.height_px)
+    needs = [images_need(out_dir, len(sequence), size_px, sequence.depths is not None, colour)]
+    needs += [images_need(out_dir, len(sequence), size_px, colour=each) for each in {False, colour}]
+    check_room(str(source), len(sequence), needs, force)
     single_threaded_opencv()
     # Beside the result: the temporary disk may be too small.
     with scratch_beside(out_dir) as scratch, progress_bars(kernels=False) as show:

@@ -12,7 +12,7 @@ from dslab.sim.io.folders import Progress
 from dslab.sim.io.video import is_video
 from dslab.sim.room import check_room, images_need
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
-from dslab.sim.sequence import Sequence
+from dslab.sim.sequence import Sequence, is_coloured
 
 if TYPE_CHECKING:
     from dslab.sim.io.forms import TruthForm
@@ -62,7 +62,8 @@ def open_sequence(
         sequence = load_sequence(path, camera, progress, force, truth, truth_form)
         if out_dir is not None:
             size_px = sequence.camera.width_px, sequence.camera.height_px
-            needs = [images_need(out_dir, len(sequence), size_px, sequence.depths is not None)]
+            with_depth, colour = sequence.depths is not None, is_coloured(sequence.frames)
+            needs = [images_need(out_dir, len(sequence), size_px, with_depth, colour)]
             check_room(str(path), len(sequence), needs, force)
         if camera is None and not is_video(path):
             names = sequence.image_names or _image_names(path)

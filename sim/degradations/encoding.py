@@ -20,6 +20,7 @@ class JpegDegradation(ImageDegradation[Jpeg]):
     kind = "jpeg"
     stage = Stage.ENCODER
     measure_name = "jpeg_loss"
+    takes_colour = True
 
     def prepare(self, segment: Jpeg, camera: Intrinsics, streams: Streams) -> Filter:
         """See ``ImageDegradation``; libjpeg's quality is a whole number."""
@@ -29,7 +30,8 @@ class JpegDegradation(ImageDegradation[Jpeg]):
             if quality == 100:
                 return image, 0.0
             _, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-            return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)), 100.0 - quality
+            mode = cv2.IMREAD_GRAYSCALE if image.ndim == 2 else cv2.IMREAD_COLOR
+            return np.asarray(cv2.imdecode(data, mode)), 100.0 - quality
 
         return code
 

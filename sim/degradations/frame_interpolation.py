@@ -20,7 +20,7 @@ class FrameInterpolation:
 
     Args:
         gray: the (H, W) uint8 frame of a number, from which the flow is found.
-        light: its (H, W) float32 light.
+        light: its (H, W) float32 light, or (H, W, 3).
         stamps_s: (N,) float64 times of the frames.
         kept: flows that are remembered.
     """
@@ -87,7 +87,7 @@ def _flow(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _warped(light: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """(H, W) float32 light, each pixel taken from beside it; beyond the borders from the border."""
-    height, width = light.shape
+    height, width = light.shape[:2]
     x = shift[..., 0] + np.arange(width, dtype=np.float32)
     y = shift[..., 1] + np.arange(height, dtype=np.float32)[:, None]
     return cv2.remap(light, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -37,11 +37,14 @@ class ImageDegradation(Kind[SegmentT]):
         needs_depth: frames need a depth image.
         needs_motion: frames need the camera's motion.
         is_drawn: chance has a part in it; False if its filter takes no number from its streams.
+        takes_colour: its filter takes a frame in colour, (H, W, 3), as a whole. Others are given each of its
+            channels as an image, with ``View.channel``.
     """
 
     needs_depth: ClassVar[bool] = False
     needs_motion: ClassVar[bool] = False
     is_drawn: ClassVar[bool] = True
+    takes_colour: ClassVar[bool] = False
 
     @abstractmethod
     def prepare(self, segment: SegmentT, camera: Intrinsics, streams: Streams) -> Filter:

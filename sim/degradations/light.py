@@ -165,7 +165,7 @@ class DayToNightDegradation(ImageDegradation[DayToNight]):
             # The lamp is switched on as daylight goes.
             lit = np.float32(daylight) + np.float32(segment.lamp * (1 - daylight)) * beam
             electrons = decode(image) * lit * np.float32(_FULL_WELL_E)
-            noise = streams(view.frame).standard_normal(image.shape, np.float32)
+            noise = streams(*view.noise_names).standard_normal(image.shape, np.float32)
             electrons += np.sqrt(electrons + np.float32(_READ_NOISE_E**2)) * noise
             return encode(electrons * np.float32(gain / _FULL_WELL_E)), stops
 

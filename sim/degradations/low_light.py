@@ -50,7 +50,7 @@ class _LowLight:
                 illumination, gain, self._segment.full_well_e, self._segment.read_noise_e
             )
             self._strength = view.strength
-        start = int(self._streams(view.frame).integers(len(self._bank) - self._pixels))
+        start = int(self._streams(*view.noise_names).integers(len(self._bank) - self._pixels))
         codes = self._bank[start : start + self._pixels].reshape(image.shape)
         return self._table[image, codes], -float(np.log2(illumination))
 

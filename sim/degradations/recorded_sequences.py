@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 from collections.abc import Sequence as Many
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from dslab.scenarios.segments import LowTexture, Segment
@@ -14,9 +16,10 @@ from dslab.sim.degradations.registry import FRAME_PLAN_KINDS, in_order_of_action
 from dslab.sim.degradations.retake import Retake, fill_narrow_holes
 from dslab.sim.degradations.segment_link import segment_links
 from dslab.sim.degradations.truth import truths_of
+from dslab.sim.degradations.turned_view import TurnedView
 from dslab.sim.io.raw import RawFrames, RawWriter
 from dslab.sim.link import USUAL_EXPOSURE_S, View, fold
-from dslab.sim.sequence import Sequence
+from dslab.sim.sequence import FrameSource, InColour, Sequence, colour_frame
 
 
 class _AsRecorded:
@@ -37,6 +40,7 @@ def degrade_sequence(
     seed: int,
     scratch: Path,
     progress: Callable[[str, int, int], None] | None = None,
+    colour: bool = True,
 ) -> Sequence:
     """Apply segments to a sequence; their times count from the first frame.
 
@@ -44,12 +48,16 @@ def degrade_sequence(
     every frame is cropped to what all turns see (``TurnedView``). See ``Retake`` for the kinds that would
     act before a frame is rendered. Narrow holes of measured depth images count as filled.
 
+    Frames in colour are degraded in colour, each channel as the light that it is, and made gray thereafter;
+    frames that nothing changes keep their gray levels.
+
     Args:
         sequence: any; its frames are read one by one.
         segments: of the kinds of ``recorded_sequence_kinds``.
         seed: root seed of their random draws.
         scratch: folder for the frames, to be kept as long as the result is used.
         progress: called after every frame.
+        colour: keep the frames in colour too, where the sequence has it, which takes four times the space.
 
     Raises:
         InputError: as ``check_recorded_sequence``, or a frame cannot be read.
@@ -59,13 +67,20 @@ def degrade_sequence(
     assert view.camera is not None
     whole, plan = _plans(sequence, segments, seed)
     own_s = _own_exposure_s(sequence)
-    retake = Retake(sequence, replace(whole, exposure_s=whole.exposure_s - own_s), view)
+    shown = InColour(sequence.frames)
+    retake = Retake(sequence, replace(whole, exposure_s=whole.exposure_s - own_s), view, shown)
     known = "exposure_s" in sequence.frame_truth
     exposure_s = plan.exposure_s if known else np.maximum(plan.exposure_s, USUAL_EXPOSURE_S)
     links = segment_links(segments, view.camera, plan.stamps_s, seed)
-    size, blur_px = (view.camera.height_px, view.camera.width_px), np.zeros(len(plan.frame))
+    shape = (len(plan.frame), view.camera.height_px, view.camera.width_px)
+    colour, blur_px = colour and shown.is_coloured, np.zeros(len(plan.frame))
+    stacks = {"gray.npy": shape} | ({"colour.npy": (*shape, 3)} if colour else {})
     exact_depth = "spec" in sequence.meta
-    with RawWriter(scratch / "gray.npy", (len(plan.frame), *size), np.uint8) as grays:
+    with ExitStack() as open_files:
+        grays, *colours = (
+            open_files.enter_context(RawWriter(scratch / name, stack, np.uint8))
+            for name, stack in stacks.items()
+        )
         for index, frame in enumerate(plan.frame.tolist()):
             image, blur_px[index] = retake.image(frame)
             depth_m = retake.depth(frame)
@@ -73,7 +88,10 @@ def degrade_sequence(
                 depth_m = fill_narrow_holes(depth_m, view.camera)
             stamp_s, open_s = float(plan.stamps_s[index]), float(exposure_s[index])
             taken = View(frame, stamp_s, depth_m=depth_m, exposure_s=open_s, index=index)
-            grays.append(fold(links, image, taken)[0])
+            image = fold(links, image, taken)[0]
+            grays.append(_gray(image, sequence, frame, view) if shown.is_coloured else image)
+            for stack in colours:
+                stack.append(image)
             if progress:
                 progress("degrading", index + 1, len(plan.frame))
     left = sequence.only(plan.frame)
@@ -92,13 +110,37 @@ def degrade_sequence(
         left,
         camera=view.camera,
         stamps_s=left.stamps_s + plan.stamp_error_s,
-        frames=RawFrames(scratch / "gray.npy", (len(plan.frame), *size), np.uint8),
+        frames=_Degraded(*(RawFrames(scratch / name, stack, np.uint8) for name, stack in stacks.items())),
         T_world_cam=None if left.T_world_cam is None else left.T_world_cam @ turns,
         depths=None if sequence.depths is None else _RetakenDepths(retake, plan.frame),
         segments=(*left.segments, *added),
         meta={**sequence.meta, "degraded": degraded},
         frame_truth=columns,
     )
+
+
+def _gray(image: np.ndarray, sequence: Sequence, frame: int, view: TurnedView) -> np.ndarray:
+    """(h, w) uint8 gray of a degraded frame: the recording's own where nothing changed, else as if read."""
+    if np.array_equal(image, view.crop(colour_frame(sequence.frames, frame))):
+        return view.crop(sequence.frames[frame])
+    # Decoders weigh colours each in its way: this is how the written folder will be read.
+    encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 0])[1]
+    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_GRAYSCALE))
+
+
+class _Degraded:
+    """Degraded frames, in gray and, if kept, in colour."""
+
+    def __init__(self, grays: FrameSource, colours: FrameSource | None = None) -> None:
+        self._grays = grays
+        if colours is not None:
+            self.colour = colours.__getitem__
+
+    def __len__(self) -> int:
+        return len(self._grays)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return self._grays[index]
 
 
 class _RetakenDepths:

@@ -13,7 +13,7 @@ from dslab.sim.degradations.turned_view import TurnedView
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.exposure import GRID_PX, PX_PER_SAMPLE, SHARP_PX
 from dslab.sim.sensors.tone import decode, encode, linear_to_srgb
-from dslab.sim.sequence import Sequence
+from dslab.sim.sequence import FrameSource, Sequence
 
 _LEAST_SAMPLES, _MOST_SAMPLES = 4, 64
 # The smear of the fastest pixels but these decides on the number of samples.
@@ -42,10 +42,14 @@ class Retake:
             own, its ``exposure_s`` how much longer the shutter is open; a surface fills the view of the
             frames that fade together.
         view: the window of the turned camera.
+        shown: what the result shows, ``sequence.frames`` or these in colour; the motion is found in gray.
     """
 
-    def __init__(self, sequence: Sequence, plan: FramePlan, view: TurnedView) -> None:
+    def __init__(
+        self, sequence: Sequence, plan: FramePlan, view: TurnedView, shown: FrameSource | None = None
+    ) -> None:
         self._sequence, self._plan, self._view = sequence, plan, view
+        self._shown = sequence.frames if shown is None else shown
         self._contrast = np.where(plan.view_share > 0, plan.contrast, 1.0).prod(axis=1)
         interval_s = np.diff(plan.stamps_s).min(initial=np.inf)
         intervals = 2 + int(plan.exposure_s.max(initial=0.0) / interval_s)
@@ -54,7 +58,7 @@ class Retake:
         )
 
     def image(self, frame: int) -> tuple[np.ndarray, float]:
-        """The (h, w) uint8 frame of a number, and the median length of its added smear in pixels."""
+        """The (h, w) or (h, w, 3) uint8 frame of a number, and its added smear: the median, pixels."""
         stamp_s, open_s = float(self._plan.stamps_s[frame]), float(self._plan.exposure_s[frame])
         smear_px = self._smear_px(stamp_s, open_s) if open_s > 0 else np.zeros(1)
         fast_px = float(np.quantile(smear_px, _FAST_SHARE))
@@ -74,8 +78,8 @@ class Retake:
         return self._plan.motion.T_world_cam(time_s)[:3, :3]
 
     def _light(self, frame: int) -> np.ndarray:
-        """(H, W) float32 light of a recorded frame, faded."""
-        light = decode(self._sequence.frames[frame])
+        """(H, W) float32 light of a recorded frame, faded; of one in colour (H, W, 3), here as below."""
+        light = decode(self._shown[frame])
         return fade(light, float(self._contrast[frame]), self._sequence.camera)
 
     def _smear_px(self, stamp_s: float, open_s: float) -> np.ndarray:
@@ -99,17 +103,22 @@ class Retake:
         """(h, w) uint8 image of light, with the noise that fading has weakened."""
         contrast = self._contrast[frame]
         sigma = self._noise_sigma * np.sqrt(1 - contrast**2)
-        if sigma == 0:
+        if not np.any(sigma):
             return encode(light)
         noise = rng_for(self._plan.seed, "degradation", "faded_noise", frame).standard_normal(light.shape)
         levels = 255 * linear_to_srgb(np.clip(light, 0, 1)) + sigma * noise
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
     @cached_property
-    def _noise_sigma(self) -> float:
-        """Standard deviation of the recording's noise, grey levels, over all of its time."""
+    def _noise_sigma(self) -> np.ndarray:
+        """Standard deviation of the recording's noise, levels, over all of its time; of each channel."""
         chosen = np.unique(np.linspace(0, len(self._sequence) - 1, _NOISE_FRAMES).astype(int))
-        return float(np.median([noise_level(self._sequence.frames[frame]) for frame in chosen.tolist()]))
+        images = [self._shown[frame] for frame in chosen.tolist()]
+        sigmas = [
+            noise_level(image) if image.ndim == 2 else [noise_level(image[..., at]) for at in range(3)]
+            for image in images
+        ]
+        return np.median(sigmas, axis=0)
 
 
 def fade(light: np.ndarray, contrast: float, camera: Intrinsics) -> np.ndarray:

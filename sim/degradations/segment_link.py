@@ -39,7 +39,11 @@ class SegmentLink:
         if self._filter is None:
             streams = partial(streams_of, self._seed, self.segment)
             self._filter = self.kind.prepare(self.segment, self._camera, streams)
-        image, self.measure[view.index] = self._filter(image, replace(view, strength=strength))
+        acting = replace(view, strength=strength)
+        if image.ndim == 2 or self.kind.takes_colour:
+            image, self.measure[view.index] = self._filter(image, acting)
+        else:
+            image, self.measure[view.index] = _by_channel(self._filter, image, acting)
         if not self.strength[view.index + 1 :].any():
             self._filter = None
         return image, view
@@ -62,6 +66,12 @@ def segment_links(
         SegmentLink(segment, (ideal or camera) if before else camera, stamps_s, seed)
         for segment, before in zip(acting, before_lens, strict=True)
     ]
+
+
+def _by_channel(act: Filter, image: np.ndarray, view: View) -> tuple[np.ndarray, float]:
+    """A frame (H, W, 3) whose channels are images of one light each, and the largest measure."""
+    done = [act(np.ascontiguousarray(image[..., at]), replace(view, channel=at)) for at in range(3)]
+    return np.dstack([shown for shown, _ in done]), max(measure for _, measure in done)
 
 
 def ramp(segment: ImageSegment, stamps_s: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from dslab.sim.io.truth import half_interval_s, read_tum_poses, told_coverage
 from dslab.sim.io.video import is_video, load_video
 from dslab.sim.io.wide_lens import rectified_if_wide
 from dslab.sim.sensors.imu import ImuReadings, ImuTruth
-from dslab.sim.sequence import Sequence
+from dslab.sim.sequence import InColour, Sequence
 
 
 class Form(StrEnum):
@@ -185,6 +185,7 @@ def write_sequence(
     imu: tuple[ImuReadings, ImuTruth | None] | None = None,
     depth: bool = False,
     progress: Progress | None = None,
+    colour: bool = True,
 ) -> None:
     """Write a sequence as a folder of a form.
 
@@ -195,6 +196,7 @@ def write_sequence(
         imu: for the EuRoC form, readings and, if known, the truth at the frames; see ``record_imu``.
         depth: write depth images too, in the TUM and VSLAM-LAB forms; the sequence must have them.
         progress: called with step, frames done and frames in all.
+        colour: write frames in colour where the sequence has it; the lab reads them as gray.
 
     Raises:
         InputError: the form cannot hold the sequence; the folder is not empty or cannot be written, the
@@ -208,4 +210,5 @@ def write_sequence(
     if form not in _WRITERS:
         raise InputError("--format", f"{form} is read, not written", "use tum, kitti, euroc or vslam-lab")
     more = {"depth": depth} if form in WITH_DEPTH else {"imu": imu} if form is Form.EUROC else {}
+    sequence = replace(sequence, frames=InColour(sequence.frames)) if colour else sequence
     _WRITERS[form](sequence, directory, progress=progress, **more)

@@ -29,7 +29,7 @@ _CLOSED = 0x1 | 0x20 | 0x40
 
 
 class GrayFolder:
-    """A ``FrameSource`` of gray images; colour ones are converted.
+    """A ``FrameSource`` of gray images; colour ones are converted, and kept for ``colour_frame``.
 
     Args:
         paths: the images.
@@ -59,6 +59,12 @@ class GrayFolder:
         low, high = self._counts
         levels = (self._raw(index).astype(np.float32) - low) * (255 / (high - low))
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+    def colour(self, index: int) -> np.ndarray:
+        """See ``colour_frame``; errors as of a gray frame."""
+        path = self._paths[index]
+        image = _decoded(_bytes(path), str(path), cv2.IMREAD_ANYCOLOR, self._shape, self._authority)
+        return self[index] if image.ndim == 2 or self._counts else image
 
     def _raw(self, index: int) -> np.ndarray:
         """(H, W) of the stored type."""
@@ -117,13 +123,20 @@ class GrayZip:
 
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W) uint8. Raises InputError if the image cannot be read or has another size."""
+        return self._read(index, cv2.IMREAD_GRAYSCALE)
+
+    def colour(self, index: int) -> np.ndarray:
+        """See ``colour_frame``; errors as of a gray frame."""
+        return self._read(index, cv2.IMREAD_ANYCOLOR)
+
+    def _read(self, index: int, mode: int) -> np.ndarray:
         entry = self._entries[index]
         where = f"{self._path}: {entry.filename}"
         try:
             data = self._archive.read(entry)
         except (OSError, EOFError, ValueError, zipfile.BadZipFile, zlib.error):
             raise InputError(where, "cannot be unpacked", "copy the archive again") from None
-        return _decoded(data, where, cv2.IMREAD_GRAYSCALE, self._shape, self._authority)
+        return _decoded(data, where, mode, self._shape, self._authority)
 
     def _check_entry(self, entry: zipfile.ZipInfo) -> None:
         """Raise InputError for an entry that would not unpack, or to more than an image takes."""

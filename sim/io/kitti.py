@@ -38,7 +38,7 @@ from dslab.sim.io.text import (
 )
 from dslab.sim.io.truth import check_rigid
 from dslab.sim.sensors.camera import Intrinsics
-from dslab.sim.sequence import Sequence
+from dslab.sim.sequence import InColour, Sequence
 
 IMAGES_DIR, TIMES_FILE, CALIBRATION_FILE, POSES_DIR = "image_0", "times.txt", "calib.txt", "poses"
 IMAGES_DIRS = {"image_0": "P0", "image_2": "P2", "image_1": "P1", "image_3": "P3"}
@@ -70,13 +70,15 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
     # The rate of the form is that of the stamps.
     check_camera(Path(sequence.name), replace(camera, fps=_rate(np.array(stamps, float))))
     projection = np.column_stack([camera.K, np.zeros(3)])
+    name = "image_2" if isinstance(sequence.frames, InColour) and sequence.frames.is_coloured else IMAGES_DIR
     with new_directory(directory) as folder:
-        (folder / IMAGES_DIR).mkdir()
-        paths = [folder / IMAGES_DIR / f"{frame:06d}.png" for frame in range(len(sequence))]
+        (folder / name).mkdir()
+        paths = [folder / name / f"{frame:06d}.png" for frame in range(len(sequence))]
         write_images(sequence.frames, paths, "writing", progress)
         (folder / TIMES_FILE).write_text("".join(f"{stamp}\n" for stamp in stamps))
         # Shortest decimals that give the same numbers.
-        (folder / CALIBRATION_FILE).write_text(f"P0: {' '.join(repr(float(v)) for v in projection.flat)}\n")
+        numbers = " ".join(repr(float(v)) for v in projection.flat)
+        (folder / CALIBRATION_FILE).write_text(f"{IMAGES_DIRS[name]}: {numbers}\n")
         if poses is not None:
             (folder / POSES_DIR).mkdir()
             rows = (" ".join(f"{v:.9e}" for v in pose[:3].flat) for pose in poses)

@@ -30,18 +30,18 @@ UNREADABLE = (
 
 
 class RawWriter:
-    """Context manager that writes (N, H, W) frames one by one and checks their number.
+    """Context manager that writes (N, H, W), or (N, H, W, 3), frames one by one and checks their number.
 
     The file is written as a stream, not through a memory map, so that a full disk raises an error instead of
     killing the process.
 
     Args:
         path: .npy file to create.
-        shape: (N, H, W).
+        shape: (N, H, W) or (N, H, W, 3).
         dtype: of the frames.
     """
 
-    def __init__(self, path: Path, shape: tuple[int, int, int], dtype: type) -> None:
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: type) -> None:
         self._shape, self._dtype, self._written = shape, np.dtype(dtype), 0
         self._file = path.open("wb")
         header = {"descr": np.lib.format.dtype_to_descr(self._dtype), "fortran_order": False, "shape": shape}
@@ -51,7 +51,7 @@ class RawWriter:
         return self
 
     def append(self, frame: np.ndarray) -> None:
-        """Add one (H, W) frame."""
+        """Add one frame."""
         if frame.shape != self._shape[1:] or frame.dtype != self._dtype:
             raise ValueError(f"frame is {frame.shape} {frame.dtype}, stack is {self._shape} {self._dtype}")
         self._file.write(np.ascontiguousarray(frame).data)
@@ -64,13 +64,13 @@ class RawWriter:
 
 
 class RawFrames:
-    """A ``FrameSource`` over the (N, H, W) file of a ``RawWriter``, in use as long as this exists.
+    """A ``FrameSource`` over the file of a ``RawWriter``, in use as long as this exists.
 
     Raises:
         CorruptEntryError: the file holds anything else.
     """
 
-    def __init__(self, path: Path, shape: tuple[int, int, int], dtype: type) -> None:
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: type) -> None:
         self._stack = stored_array(path, shape, dtype)
         held = path.open("rb")
         weakref.finalize(self, held.close)  # also if this ends in a cycle of references
@@ -80,7 +80,7 @@ class RawFrames:
         return len(self._stack)
 
     def __getitem__(self, index: int) -> np.ndarray:
-        """(H, W), a writable copy: kernels are compiled for such arrays."""
+        """A frame, a writable copy: kernels are compiled for such arrays."""
         return np.array(self._stack[index])
 
 

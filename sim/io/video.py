@@ -2,8 +2,9 @@
 
 import hashlib
 import os
+import weakref
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -30,6 +31,7 @@ _MOST_FPS = 1000.0
 # A container without a list of its frames gives their number by duration and mean rate.
 _MOST_LACKING = 0.02
 _FRAMES, _STAMPS = "gray.npy", "stamps.npy"
+_KEPT = 4  # frames in colour: neighbours are asked for more than once
 
 
 def is_video(path: str | Path) -> bool:
@@ -85,12 +87,50 @@ def load_video(
         name=path.stem,
         camera=camera,
         stamps_s=stamps_s,
-        frames=RawFrames(folder / _FRAMES, (len(stamps_s), *size), np.uint8),
+        frames=_VideoFrames(path, RawFrames(folder / _FRAMES, (len(stamps_s), *size), np.uint8)),
         T_world_cam=None,
         depths=None,
         segments=(),
         meta={},
     )
+
+
+class _VideoFrames:
+    """A ``FrameSource`` of gray frames from the cache; those in colour are decoded anew, best in order."""
+
+    def __init__(self, path: Path, grays: RawFrames) -> None:
+        self._path, self._grays = path, grays
+        self._files, self._next = ExitStack(), 0
+        self._video: cv2.VideoCapture | None = None
+        self._recent: dict[int, np.ndarray] = {}
+        weakref.finalize(self, self._files.close)
+
+    def __len__(self) -> int:
+        return len(self._grays)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        return self._grays[index]
+
+    def colour(self, index: int) -> np.ndarray:
+        """See ``colour_frame``. Raises InputError if it cannot be decoded."""
+        if index not in self._recent:
+            image = self._decoded(index)
+            self._recent[index] = image if image.ndim == 3 else self[index]
+            if len(self._recent) > _KEPT:
+                self._recent.pop(next(iter(self._recent)))
+        return self._recent[index].copy()
+
+    def _decoded(self, index: int) -> np.ndarray:
+        if self._video is None or index < self._next:
+            self._files.close()
+            self._video, self._next = self._files.enter_context(_opened(self._path)), 0
+        while self._next < index and self._video.grab():
+            self._next += 1
+        done, image = self._video.read()
+        self._next += 1
+        if not done:
+            raise InputError(f"{self._path}: frame {index}", "cannot be decoded", _REMEDY)
+        return np.asarray(image)
 
 
 def _properties(path: Path) -> tuple[int, int, float | None, int]:

@@ -9,7 +9,7 @@ from dslab.scenarios.errors import notice
 from dslab.scenarios.lenses import MOST_HALF_ANGLE_DEG, sees_too_far
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sensors.distortion import project
-from dslab.sim.sequence import FrameSource, Sequence
+from dslab.sim.sequence import FrameSource, Sequence, colour_frame
 
 
 def rectified_if_wide(where: str, sequence: Sequence) -> Sequence:
@@ -56,3 +56,7 @@ class Remapped:
     def __getitem__(self, index: int) -> np.ndarray:
         """(H, W) of the source's type; 0 where the source does not reach."""
         return cv2.remap(self._source[index], self._map, None, self._interpolation)
+
+    def colour(self, index: int) -> np.ndarray:
+        """See ``colour_frame``."""
+        return cv2.remap(colour_frame(self._source, index), self._map, None, self._interpolation)

@@ -79,7 +79,7 @@ def write_blind(sequence: Sequence, reads: str, folder: Path) -> None:
     blind = replace(
         sequence, T_world_cam=None, depths=None, segments=(), meta={}, frame_truth={}, image_names=()
     )
-    write_sequence(blind, folder, Form(reads))
+    write_sequence(blind, folder, Form(reads), colour=False)
 
 
 def run_command(
