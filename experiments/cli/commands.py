@@ -14,7 +14,7 @@ from dslab.experiments.cli.degrade import degrade_command
 from dslab.experiments.cli.demo import demo_command
 from dslab.experiments.cli.doctor import doctor_command, warmup_command
 from dslab.experiments.cli.evo import evo_command
-from dslab.experiments.cli.export import export_command, render_command
+from dslab.experiments.cli.export import export_command
 from dslab.experiments.cli.footage import footage_command
 from dslab.experiments.cli.paper import paper_command
 from dslab.experiments.cli.run import run_command
@@ -38,7 +38,6 @@ app.command("doctor")(doctor_command)
 app.command("warmup")(warmup_command)
 app.add_typer(scenarios_app, name="scenarios")
 app.add_typer(config.app, name="config")
-app.command("render")(render_command)
 app.add_typer(cache.app, name="cache")
 app.command("degrade")(degrade_command)
 app.command("export")(export_command)

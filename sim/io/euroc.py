@@ -30,6 +30,7 @@ from dslab.sim.io.camera_file import intrinsics_of, read_camera
 from dslab.sim.io.clock import choose_origin_ns, origin_ns, to_ns, to_seconds, written_ns
 from dslab.sim.io.folders import Progress, new_directory, write_images
 from dslab.sim.io.images import GrayFolder
+from dslab.sim.io.orbslam3 import TIMES_FILE
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import (
     check_present,
@@ -237,6 +238,7 @@ def write_euroc(
         write_images(sequence.frames, [camera_dir / "data" / name for name in names], "writing", progress)
         rows = [f"{stamp},{name}" for stamp, name in zip(stamps, names, strict=True)]
         _write_table(camera_dir, "#timestamp [ns],filename", rows)
+        (folder / TIMES_FILE).write_text("".join(f"{stamp}\n" for stamp in stamps))
         _write_sensor(camera_dir, _camera_record(sequence.camera, np.linalg.inv(T_cam_body)))
         if imu:
             _write_imu(folder / IMU_DIR, imu[0], origin_ns(sequence))

@@ -58,7 +58,9 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
     """
     if not sequence.camera.is_pinhole:
         raise InputError(
-            sequence.name, "has lens distortion, KITTI's form is for rectified images", "use tum or euroc"
+            sequence.name,
+            "has lens distortion, KITTI's form is for rectified images",
+            "add --rectify (dslab export), or use tum or euroc",
         )
     poses = sequence.T_world_cam
     if poses is not None and not np.isfinite(poses).all():

@@ -1,4 +1,4 @@
-"""Files of simulated sequences in every form: segments, truth per frame, provenance."""
+"""Files beside sequences in every form: segments, truth per frame, provenance, ORB-SLAM3's settings."""
 
 import csv
 import json
@@ -12,6 +12,7 @@ from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given, read_json
 from dslab.sim.io import layout
 from dslab.sim.io.clock import ORIGIN_KEY
+from dslab.sim.io.orbslam3 import write_orbslam3_settings
 from dslab.sim.io.text import check_words, read_rows, to_numbers
 from dslab.sim.sequence import SegmentTruth, Sequence
 
@@ -19,7 +20,8 @@ _LONGEST_EXPOSURE_S = 3600.0
 
 
 def write_sidecars(sequence: Sequence, folder: Path) -> None:
-    """Write segments.json, meta.json and, if any, frame_truth.csv."""
+    """Write segments.json, meta.json, ORB-SLAM3's settings and, if any, frame_truth.csv."""
+    write_orbslam3_settings(sequence.camera, folder)
     segments = [asdict(segment) for segment in sequence.segments]
     (folder / layout.SEGMENTS_FILE).write_text(json.dumps(segments, indent=1) + "\n")
     meta = {"name": sequence.name, **sequence.meta}

@@ -17,6 +17,9 @@ from dslab.sim.io.truth import half_interval_s, nearest, other_clock, read_tum_p
 from dslab.sim.sensors.camera import Intrinsics
 from dslab.sim.sequence import FrameSource, Sequence
 
+# As many lines as the data set's lists have: ORB-SLAM3's program passes over three.
+_HEADER = ("# images", "# by the seconds of their stamps", "# stamp_s filename")
+
 
 def load_tum(folder: Path, camera_file: Path | None = None) -> Sequence:
     """Read a sequence from a TUM-form folder; see ``sim.io.layout``. Errors as of ``load_sequence``.
@@ -133,4 +136,4 @@ def _write_list(
     paths = [f"{name}/{frame:06d}.png" for frame in range(len(stamps))]
     write_images(images, [folder / path for path in paths], f"writing {name}", progress)
     lines = [f"{stamp} {path}" for stamp, path in zip(stamps, paths, strict=True)]
-    (folder / list_file).write_text("\n".join(["# stamp_s filename", *lines]) + "\n")
+    (folder / list_file).write_text("\n".join([*_HEADER, *lines]) + "\n")

@@ -9,7 +9,6 @@ from dslab.experiments.cli.commands import app
 
 ARGUMENTS = {
     "demo": "--out {in}/result",
-    "render": "{in}/scenario/scenario.yaml --out {out}",
     "degrade": "{in}/tum --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
     "export": "{in}/tum --format tum --out {out}",
     "run": "{in}/tum --out {out}",

@@ -240,7 +240,7 @@ EXAMPLES: dict[str, Example] = {
         Example(
             "rendered scenario",
             _scenario,
-            ("render {in}/scenario.yaml --out {out}",),
+            ("export {in}/scenario.yaml --out {out}",),
             sparse=("*",),
             heavy=True,
         ),
@@ -291,7 +291,7 @@ EXAMPLES: dict[str, Example] = {
         Example(
             "cache",
             _cache,
-            ("render {in}/scenario.yaml --out {out}",),
+            ("export {in}/scenario.yaml --out {out}",),
             ours=("cache/*",),
             fixed=("scenario.yaml",),
             mended=("cache/*",),

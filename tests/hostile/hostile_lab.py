@@ -14,6 +14,8 @@ from hostile_mutations import Mutation
 from hostile_oracle import Ended, at_work, contents, debris, differing, faults_of, filled, passing, text
 
 SECONDS = 30
+RENDERS = "export {in}/scenario"
+"""How commands that open a context of OpenGL begin."""
 _MEASURED = {"summary.json", "frames.csv", "report.html"}
 
 
@@ -140,7 +142,7 @@ class Lab:
             example.write(folder)
             for number, command in enumerate(example.commands):
                 # Neither a context of OpenGL nor another process outlives a fork.
-                if not command.startswith(("render", "experiment replay")):
+                if not command.startswith((RENDERS, "experiment replay")):
                     places = {"{in}": str(folder), "{out}": f"{folder}-{number}"}
                     self._ask(argv=[filled(word, places) for word in command.split()], here=True)
 
@@ -153,7 +155,7 @@ class Lab:
 def _seen(folder: Path, result: str, command: str, ended: Ended) -> dict[str, str]:
     """What a command says that it has read: its output, without measurements."""
     seen = {f"out/{name}": digest for name, digest in contents(folder / "out").items()}
-    if not command.startswith(("run", "render", "experiment r", "view", "bench")):
+    if not command.startswith(("run", RENDERS, "experiment r", "view", "bench")):
         seen["stdout"] = ended.out.replace(str(folder), "")
     summary = folder / "out" / result / "summary.json"
     if summary.exists():

@@ -13,8 +13,8 @@ from hostile_examples import EVERYTHING
 from hostile_oracle import filled
 
 COMMANDS = {
-    "render": "render {in}/scenario/scenario.yaml --depth --out {out}",
-    "render without cache": "render {in}/scenario/scenario.yaml --no-cache --out {out}",
+    "render": "export {in}/scenario/scenario.yaml --depth --out {out}",
+    "render without cache": "export {in}/scenario/scenario.yaml --no-cache --out {out}",
     "degrade": "degrade {in}/tum --segment jpeg:start_s=0.1,duration_s=0.2,quality=8 --out {out}",
     "run": "run {in}/scenario/scenario.yaml --system dual --rerun --map --out {out}",
     "demo": "demo --no-units --out {out}",

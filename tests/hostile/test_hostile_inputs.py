@@ -18,7 +18,7 @@ from dslab import sim
 from dslab.scenarios.segments import SEGMENT_KINDS
 
 _NAMES = [word for word in WORDS if word.strip(".") and not {"/", "{"} & {*word} and len(word) < 256]
-_RENDER, _DEGRADE = "render {in}/scenario/scenario.yaml --out {out}", "degrade {in}/tum --out {out}"
+_RENDER, _DEGRADE = "export {in}/scenario/scenario.yaml --out {out}", "degrade {in}/tum --out {out}"
 _READERS = [f"{path} {ARGUMENTS[path]}" for path in ("export", "run", "scenarios show", "experiment status")]
 _GIVEN = st.sampled_from(sorted(commands()))
 _EXAMPLES = [pytest.param(e.name, marks=pytest.mark.slow) if e.heavy else e.name for e in EXAMPLES.values()]

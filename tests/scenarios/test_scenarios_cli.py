@@ -152,11 +152,10 @@ class _RenderedEnoughError(Exception):
 @pytest.mark.parametrize(
     ("command", "seed"),
     [
-        (["render"], None),
-        (["render"], 3),
+        (["export"], None),
         (["run"], 3),
         (["bench"], 3),
-        (["export", "--format", "tum"], 3),
+        (["export"], 3),
     ],
 )
 def test_commands_draw_with_their_seed(monkeypatch, capsys, tmp_path, command, seed):

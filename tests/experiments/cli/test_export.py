@@ -1,4 +1,4 @@
-"""``dslab export``, `render` and `degrade`: the same sequence in every form, one line per fault."""
+"""``dslab export`` and `degrade`: the same sequence in every form, one line per fault."""
 
 import numpy as np
 import pytest
@@ -84,13 +84,12 @@ def test_synthetic_inertial_readings_are_repeatable(scenario, tmp_path):
     np.testing.assert_array_equal(again.accel_mps2, readings.accel_mps2)
 
 
-@pytest.mark.parametrize("command", ["render", "export"])
-def test_inertial_readings_in_a_folder_integrate_to_the_true_motion(tmp_path, command):
+def test_inertial_readings_in_a_folder_integrate_to_the_true_motion(tmp_path):
     spec = SPEC % "noise_sigma: 1" + "imu: {preset: perfect, rate_hz: 400}\n"
     spec = spec.replace("}]", "}, {kind: fast_rotation, start_s: 0.2, duration_s: 0.6, rate_degps: 90}]")
     (tmp_path / "flight.yaml").write_text(spec)
     out = tmp_path / "out"
-    text = dslab(command, str(tmp_path / "flight.yaml"), *SEED, "--format", "euroc", "--out", str(out))
+    text = dslab("export", str(tmp_path / "flight.yaml"), *SEED, "--format", "euroc", "--out", str(out))
     assert "imu0" in text
     sequence, readings = open_sequence(str(out)), load_euroc_imu(out)
     assert readings.model.rate_hz == 400 and readings.model.accel_walk == 0
@@ -115,7 +114,7 @@ def test_inertial_readings_in_a_folder_integrate_to_the_true_motion(tmp_path, co
 def test_an_imu_changes_no_frame_and_other_forms_leave_it_out(scenario, tmp_path):
     spec = (tmp_path / "trial.yaml").read_text()
     (tmp_path / "imu.yaml").write_text(spec + "imu: {preset: realsense}\n")
-    text = dslab("render", str(tmp_path / "imu.yaml"), *SEED, "--out", str(tmp_path / "tum"))
+    text = dslab("export", str(tmp_path / "imu.yaml"), *SEED, "--out", str(tmp_path / "tum"))
     assert "inertial readings are left out, use --format euroc" in text
     with_imu, without = open_sequence(str(tmp_path / "tum")), open_sequence(scenario, 3)
     for index in range(20):
@@ -149,7 +148,7 @@ def test_a_degraded_folder_keeps_its_form_and_contents(tmp_path, form):
     (tmp_path / "trial.yaml").write_text(SPEC % "noise_sigma: 1" + "imu: {preset: euroc}\n")
     source, out = str(tmp_path / "source"), str(tmp_path / "out")
     more = ["--depth"] if form == "tum" else []
-    dslab("render", str(tmp_path / "trial.yaml"), *SEED, "--format", form, *more, "--out", source)
+    dslab("export", str(tmp_path / "trial.yaml"), *SEED, "--format", form, *more, "--out", source)
     options = [word for text in SEGMENTS for word in ("--segment", text)]
     text = dslab("degrade", source, *options, "--out", out)
     assert f"20 frames in {form} form" in text

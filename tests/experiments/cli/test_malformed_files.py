@@ -41,7 +41,7 @@ def refused(dslab, tmp_path, monkeypatch):
         ["run", "clean-room", "--out", LONG],
         ["run", "clean-room", "--out", f"{LONG}/x"],
         ["run", "clean-room", "--config", f"{LONG}.yaml", "--out", "o"],
-        ["render", "clean-room", "--out", LONG],
+        ["export", "clean-room", "--out", LONG],
         ["degrade", LONG, "--segment", "jpeg:start_s=0,duration_s=1,quality=8", "--out", "o"],
         ["export", LONG, "--format", "euroc", "--out", "o"],
         ["scenarios", "show", LONG],
@@ -147,7 +147,7 @@ def test_settings_beyond_every_sense_are_refused(refused, tmp_path, text):
 
 def test_a_lens_that_cannot_be_inverted_is_not_valid(refused, tmp_path):
     (tmp_path / "mine.yaml").write_text(SCENARIO + "camera:\n  distortion: {model: radtan, k1: -2}\n")
-    for command in (["scenarios", "validate"], ["run", "--out", "o"], ["render", "--out", "o"]):
+    for command in (["scenarios", "validate"], ["run", "--out", "o"], ["export", "--out", "o"]):
         line = refused(*command[:2], *command[2:], tmp_path / "mine.yaml")
         assert "mine.yaml:3: camera" in line and "folds the image over itself" in line
     with pytest.raises(InputError, match="cannot be taken out over the whole image"):

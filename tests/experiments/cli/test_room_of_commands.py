@@ -27,7 +27,7 @@ def place(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", ["render", "run", "export --format tum"])
+@pytest.mark.parametrize("command", ["run", "export"])
 def test_a_scenario_that_does_not_fit_is_one_line_and_leaves_nothing(dslab, place, command):
     code, out, err = dslab(*command.split(), place / "huge.yaml", "--out", place / "o")
     assert (code, out) == (2, "") and err.count("\n") == 1

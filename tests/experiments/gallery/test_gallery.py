@@ -73,7 +73,7 @@ def test_the_page_names_every_scenario_once(gallery, page):
     articles = [attrs["id"] for attrs in page.all("article")]
     assert articles == ["lone", "pair.dim", "pair.calm"]
     for name in ("pair/dim", "pair/calm", "lone"):
-        assert f"dslab render {name} --seed 0 --out DIR" in page.text
+        assert f"dslab export {name} --seed 0 --out DIR" in page.text
 
 
 def test_the_page_is_well_formed_and_its_links_have_targets(page):

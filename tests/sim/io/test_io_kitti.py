@@ -33,7 +33,7 @@ def test_a_written_sequence_is_read_back(folder):
 def test_writing_what_was_read_gives_the_same_bytes(folder, tmp_path):
     write_sequence(load_sequence(folder), tmp_path / "again", Form.KITTI)
     files = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
-    assert len(files) == COUNT + 6
+    assert len(files) == COUNT + 7
     for file in files:
         if file.name != "00.txt":
             assert (tmp_path / "again" / file).read_bytes() == (folder / file).read_bytes(), file
@@ -118,7 +118,7 @@ def test_of_more_poses_those_of_the_images_count(folder):
 
 
 def test_a_sequence_beyond_the_form_is_refused(tmp_path):
-    with pytest.raises(InputError, match="rectified images; use tum or euroc"):
+    with pytest.raises(InputError, match=r"rectified images; add --rectify .dslab export., or use"):
         write_sequence(make_sequence(), tmp_path / "seq", Form.KITTI)
     sequence = replace(make_sequence(), camera=PINHOLE)
     sequence.T_world_cam[4] = np.nan

@@ -41,7 +41,7 @@ def test_a_written_sequence_is_read_back(folder):
 def test_the_files_are_the_stated_ones_in_tum_order(folder):
     names = {path.name for path in folder.iterdir()}
     expected = {"rgb", "rgb.txt", "groundtruth.txt", "camera.yaml", "segments.json", "meta.json"}
-    assert names == expected | {"depth", "depth.txt", "frame_truth.csv"}
+    assert names == expected | {"depth", "depth.txt", "frame_truth.csv", "orbslam3.yaml"}
     assert list(yaml.safe_load((folder / "camera.yaml").read_text())) == (
         ["fx", "fy", "cx", "cy", "width", "height", "fps", "k1", "k2", "p1", "p2", "k3"]
     )
@@ -114,8 +114,8 @@ def test_a_missing_file_is_named(folder, old):
 @pytest.mark.parametrize(
     ("file", "old", "new", "expected"),
     [
-        ("rgb.txt", "0.066666667", "0.02", ["rgb.txt:4: stamp", "does not come after"]),
-        ("rgb.txt", " rgb/000005.png", "", ["rgb.txt:7", "cut short"]),
+        ("rgb.txt", "0.066666667", "0.02", ["rgb.txt:6: stamp", "does not come after"]),
+        ("rgb.txt", " rgb/000005.png", "", ["rgb.txt:9", "cut short"]),
         ("rgb.txt", "rgb/000004.png", "rgb/000044.png", ["rgb/000044.png", "missing"]),
         ("camera.yaml", "fx: 50.0", "fx: -50.0", ["camera.yaml: fx", "absurd"]),
         ("camera.yaml", "fx: 50.0\n", "", ["camera.yaml: fx", "is missing"]),
@@ -228,7 +228,7 @@ def test_depth_images_are_given_to_the_frames_nearest_in_time(tmp_path):
     sequence = make_sequence()
     write_tum(sequence, tmp_path / "seq", depth=True)
     written = load_sequence(tmp_path / "seq")
-    rows = (tmp_path / "seq/depth.txt").read_text().splitlines()[1:]
+    rows = (tmp_path / "seq/depth.txt").read_text().splitlines()[3:]
     # Another clock's jitter, one image lost, one more between the frames: as a depth camera of its own gives.
     late = [f"{float(row.split()[0]) + 0.004:.6f} {row.split()[1]}" for row in rows if "000002" not in row]
     late.insert(1, f"{0.5 / 30:.6f} depth/000005.png")

@@ -174,7 +174,7 @@ def test_a_projection_given_twice_is_refused(folder_of):
         (Form.TUM, "groundtruth.txt", 0, "1e300", ":3: stamp: 1e300 is no time in seconds"),
         (Form.TUM, "groundtruth.txt", 2, "1_0", ":3: ty: '1_0' is not a finite number"),
         (Form.TUM, "groundtruth.txt", 2, "٣", ":3: ty: '٣' is not a finite number"),
-        (Form.TUM, "rgb.txt", 0, "1e18", ":3: stamp: 1e18 is no time in seconds"),
+        (Form.TUM, "rgb.txt", 0, "1e18", ":5: stamp: 1e18 is no time in seconds"),
         (Form.KITTI, "poses/00.txt", 3, "-1e308", ":3: position: -1e+308 is no coordinate in metres"),
         (Form.KITTI, "poses/00.txt", 4, "1e308", ":3: is no rotation and translation"),
     ],
@@ -182,9 +182,10 @@ def test_a_projection_given_twice_is_refused(folder_of):
 def test_times_and_positions_are_those_of_a_recording(folder_of, form, file, column, value, expected):
     folder = folder_of(form)
     lines = (folder / file).read_text().splitlines()
-    words = lines[2].split()
+    at = 2 if file != "rgb.txt" else 4
+    words = lines[at].split()
     words[column] = value
-    (folder / file).write_text("\n".join([*lines[:2], " ".join(words), *lines[3:]]))
+    (folder / file).write_text("\n".join([*lines[:at], " ".join(words), *lines[at + 1 :]]))
     fault(folder, f"{file}{expected}")
 
 

@@ -9,7 +9,9 @@ import pytest
 from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.camera_file import write_camera
 from dslab.sim.io.forms import load_sequence
+from dslab.sim.io.wide_lens import rectified
 from dslab.sim.sensors.camera import Intrinsics
+from dslab.sim.sensors.distortion import unproject
 from dslab.slam.core.camera import PinholeCamera
 
 # TUM-VI's left camera, by its published calibration rounded.
@@ -66,3 +68,34 @@ def test_a_notice_is_one_line_on_the_terminal(dslab, tmp_path, monkeypatch):
     code, _, err = dslab("export", tmp_path / "walk", "--camera", camera, "--format", "tum", "--out", made)
     notes = [line for line in err.splitlines() if line.startswith("note: ")]
     assert (code, len(notes)) == (0, 1), err
+
+
+@pytest.mark.parametrize("k1", [-0.25, 0.25])
+def test_a_rectified_sequence_is_what_a_pinhole_sees_without_black_pixels(tmp_path, k1):
+    camera = Intrinsics(320, 240, 250.0, 240.0, 150.0, 125.0, 30.0, (k1, 0.05, 0.001, -0.001, 0.0))
+    grid = np.stack(np.meshgrid(np.arange(320.0), np.arange(240.0)), -1)
+    rays = unproject(camera, grid.reshape(-1, 2)).reshape(240, 320, 2)
+    (tmp_path / "walk").mkdir()
+    cv2.imwrite(str(tmp_path / "walk" / "1.png"), np.rint(seen(rays)).astype(np.uint8))
+    write_camera(camera, tmp_path / "camera.yaml")
+    sequence = rectified(load_sequence(tmp_path / "walk", tmp_path / "camera.yaml"))
+    ideal = sequence.camera
+    assert ideal.is_pinhole and (ideal.size_px, ideal.centre_px) == (camera.size_px, camera.centre_px)
+    assert ideal.fx == camera.fx if k1 < 0 else 1 < ideal.fx / camera.fx < 1.3
+    expected = seen(np.stack(np.meshgrid(*ideal.rays()), -1))
+    assert np.abs(sequence.frames[0] - expected)[1:-1, 1:-1].max() < 4
+    assert rectified(sequence) is sequence
+
+
+def test_a_distorted_sequence_is_exported_to_kitti_if_rectified(dslab, tmp_path):
+    (tmp_path / "walk").mkdir()
+    for n in range(3):
+        cv2.imwrite(str(tmp_path / "walk" / f"{n}.png"), np.full((240, 320), 90, np.uint8))
+    write_camera(
+        Intrinsics(320, 240, 250.0, 240.0, 150.0, 125.0, 30.0, (0.1, 0, 0, 0, 0)), tmp_path / "cam.yaml"
+    )
+    words = ["export", tmp_path / "walk", "--camera", tmp_path / "cam.yaml", "--format", "kitti", "--out"]
+    code, _, err = dslab(*words, tmp_path / "out")
+    assert code == 2 and "--rectify" in err
+    assert dslab(*words, tmp_path / "out", "--rectify")[0] == 0
+    assert load_sequence(tmp_path / "out").frames[1].min() == 90

@@ -8,6 +8,7 @@ its own frame), frames.csv. It runs in an environment of its own.
 
 import json
 import os
+import re
 import sys
 import time
 from pathlib import Path
@@ -19,14 +20,6 @@ from driver_files import Clock, Frames, Log, quaternion_xyzw
 
 _SETTLE_S = 3.0
 """Time in which mapping and loop closing may end what they have begun."""
-_LENSES = {"radtan": ("PinHole", ("k1", "k2", "p1", "p2", "k3")), "equidistant": ("KannalaBrandt8", None)}
-_EXTRACTOR = {"scaleFactor": 1.2, "nLevels": 8, "iniThFAST": 20, "minThFAST": 7}
-# Read at the start even where nothing is shown.
-_VIEWER = {
-    "KeyFrameSize": 0.05, "KeyFrameLineWidth": 1.0, "GraphLineWidth": 0.9, "PointSize": 2.0,
-    "CameraSize": 0.08, "CameraLineWidth": 3.0, "ViewpointX": 0.0, "ViewpointY": -0.7, "ViewpointZ": -1.8,
-    "ViewpointF": 500.0, "imageViewScale": 1.0,
-}  # fmt: skip
 
 
 def main(sequence: Path, out: Path, vocabulary: str, settings: dict) -> None:
@@ -34,7 +27,7 @@ def main(sequence: Path, out: Path, vocabulary: str, settings: dict) -> None:
     cv2.setNumThreads(1)
     frames = Frames(sequence, settings["speed"])
     settings_file = out / "orbslam3.yaml"
-    settings_file.write_text(settings_text(frames.camera, settings))
+    settings_file.write_text(settings_text((sequence / "orbslam3.yaml").read_text(), settings))
     slam = pyorbslam3.Slam(vocabulary, settings_file, pyorbslam3.Sensor.MONOCULAR, use_viewer=False)
     tracked = run(slam, frames, out)
     time.sleep(_SETTLE_S)
@@ -80,29 +73,11 @@ def save(slam, out: Path, tracked_s: np.ndarray) -> None:
         (out / target).write_text("".join(kept))
 
 
-def settings_text(camera: dict, settings: dict) -> str:
-    """ORB-SLAM3's settings file."""
-    kind, keys = _LENSES[camera.get("model", "radtan")]
-    keys = keys or ("k1", "k2", "k3", "k4")
-    lens = {key: camera.get(key, 0.0) for key in keys}
-    if not lens.get("k3", 1.0):
-        del lens["k3"]
-    intrinsics = {key: camera[key] for key in ("fx", "fy", "cx", "cy")} | lens
-    lines = ["%YAML:1.0", 'File.version: "1.0"', f'Camera.type: "{kind}"']
-    lines += [f"Camera1.{key}: {float(value)!r}" for key, value in intrinsics.items()]
-    lines += [f"Camera.{key}: {int(camera[key])}" for key in ("width", "height")]
-    lines += [f"Camera.fps: {round(camera['fps'])}", "Camera.RGB: 0"]
-    lines += [f"ORBextractor.nFeatures: {features_of(camera, settings)}"]
-    lines += [f"ORBextractor.{key}: {value}" for key, value in _EXTRACTOR.items()]
-    lines += [f"Viewer.{key}: {value}" for key, value in _VIEWER.items()]
-    lines += [] if settings["loops"] else ["loopClosing: 0"]
-    return "\n".join(lines) + "\n"
-
-
-def features_of(camera: dict, settings: dict) -> int:
-    """Features per image; by themselves those of ORB-SLAM3's settings for TUM and EuRoC, or for KITTI."""
-    wide = camera["width"] * camera["height"] > 1.2 * 640 * 480
-    return int(settings["features"] or (2000 if wide else 1000))
+def settings_text(text: str, settings: dict) -> str:
+    """The settings file of the sequence, with what is asked of this run."""
+    if settings["features"]:
+        text = re.sub(r"nFeatures: \d+", f"nFeatures: {int(settings['features'])}", text)
+    return text if settings["loops"] else text + "loopClosing: 0\n"
 
 
 if __name__ == "__main__":

@@ -25,7 +25,9 @@ from dslab.experiments.runs.systems.registry import Registry
 from dslab.experiments.runs.systems.run import run_system
 from dslab.experiments.runs.systems.vocabulary_text import vocabulary_of, write_dbow2
 from dslab.scenarios.errors import InputError, MachineError
+from dslab.sim.io.orbslam3 import orbslam3_settings
 from dslab.sim.io.tum import write_tum
+from dslab.sim.sensors.camera import Intrinsics
 from dslab.slam.places import _vocabulary_kernels as kernels
 from dslab.slam.places.recognition import shipped_vocabulary
 
@@ -300,10 +302,8 @@ def test_orbslam3_has_the_features_of_its_own_settings(monkeypatch, size, asked,
     monkeypatch.syspath_prepend(str(DRIVERS))
     monkeypatch.setitem(sys.modules, "pyorbslam3", ModuleType("pyorbslam3"))
     settings_text = runpy.run_path(str(DRIVERS / "orbslam3_driver.py"))["settings_text"]
-    camera = dict(zip(("width", "height"), size, strict=True)) | dict.fromkeys(
-        ("fx", "fy", "cx", "cy", "fps"), 30
-    )
-    text = settings_text(camera, {"features": asked, "loops": True})
+    own = orbslam3_settings(Intrinsics(*size, 500.0, 500.0, 300.0, 180.0, 30.0))
+    text = settings_text(own, {"features": asked, "loops": True})
     assert f"nFeatures: {features}\n" in text
 
 
