@@ -78,13 +78,15 @@ SystemsOption = Annotated[
         show_default=False,
     ),
 ]
-SourceArgument = Annotated[str, typer.Argument(help="A sequence folder, a scenario's name or its YAML file.")]
+SourceArgument = Annotated[
+    str, typer.Argument(help="A sequence folder or ROS bag, a scenario's name or its YAML file.")
+]
 CameraOption = Annotated[
     Path | None,
     typer.Option(
         "--camera",
         metavar="FILE",
-        help="Calibration for images without any list or for a video: see `dslab camera`.",
+        help="Calibration of images, a video, a bag or a folder without one: see `dslab camera`.",
         show_default=False,
     ),
 ]

@@ -21,6 +21,7 @@ from dslab.experiments.cli.console import (
     single_threaded_opencv,
 )
 from dslab.scenarios.errors import InputError
+from dslab.scenarios.input_files import is_folder
 
 
 def _print_kinds(requested: bool) -> None:
@@ -118,7 +119,7 @@ def degrade_command(
     with progress_bars(kernels=False) as show:
         sequence = load_sequence(source, camera, show, force, truth, truth_form)
     check_recorded_sequence(sequence, segments)
-    found = Form.TUM if camera is not None else detect_form(sequence_folder(source))
+    found = detect_form(sequence_folder(source)) if camera is None and is_folder(source) else Form.TUM
     target = Form(form) if form else Form.TUM if found in READ_ONLY else found
     readings = open_imu(str(source), sequence.stamps_s) if found is target is Form.EUROC else None
     if readings and any(segment.kind == "fast_rotation" for segment in segments):

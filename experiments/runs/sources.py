@@ -8,6 +8,7 @@ import numpy as np
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder, is_given
+from dslab.sim.io.bag import is_bag
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.video import is_video
 from dslab.sim.room import check_room, images_need
@@ -32,11 +33,11 @@ def open_sequence(
     truth: Path | None = None,
     truth_form: "TruthForm" = "tum",
 ) -> Sequence:
-    """Load a sequence folder, images or a video, or render a scenario or read it from the cache.
+    """Load a sequence folder, a bag, images or a video, or render a scenario or read it from the cache.
 
     Args:
-        source: a folder of a form of ``sim.io.forms``, the name of a scenario, or the path of its YAML file;
-            with a camera a folder of images or a video file.
+        source: a folder of a form of ``sim.io.forms``, a ROS bag, the name of a scenario, or the path of its
+            YAML file; with a camera a folder of images or a video file.
         seed: root seed of a scenario, with which it is also drawn; None for its own; unused for a folder.
         progress: called with (step, frames done, frames in all) while rendering.
         depth: render a scenario with depth images; no effect on a folder.
@@ -53,7 +54,7 @@ def open_sequence(
             no room for the frames.
     """
     path = Path(source)
-    if is_folder(path) or is_video(path) or camera is not None:
+    if is_folder(path) or is_video(path) or is_bag(path) or camera is not None:
         if renderer is not None:
             problem = "the frames are already there"
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
@@ -65,7 +66,7 @@ def open_sequence(
             with_depth, colour = sequence.depths is not None, is_coloured(sequence.frames)
             needs = [images_need(out_dir, len(sequence), size_px, with_depth, colour)]
             check_room(str(path), len(sequence), needs, force)
-        if camera is None and not is_video(path):
+        if camera is None and is_folder(path):
             names = sequence.image_names or _image_names(path)
             sequence = replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
         sequence = replace(sequence, source=source)
@@ -110,8 +111,8 @@ def open_imu(
     """
     if wanted is False:
         return None
-    if is_folder(source):
-        readings = _folder_imu(Path(source))
+    if is_folder(source) or is_bag(source):
+        readings = _folder_imu(Path(source)) if is_folder(source) else None
         if wanted and readings is None:
             problem = "the folder has no inertial readings, and no continuous motion to make them from"
             raise InputError(f"--imu: {source}", problem, "name a scenario, or leave out --imu")

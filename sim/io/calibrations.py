@@ -100,7 +100,8 @@ def _opencv(fields: Fields, name: str) -> Calibration:
     return Calibration("", **fields.matrix(*_MATRIX), **lens, size_px=size, fps=fields.maybe("fps"))
 
 
-def _camera_info(fields: Fields, name: str) -> Calibration:
+def camera_info(fields: Fields, name: str = "") -> Calibration:
+    """The camera of a ROS message, as a mapping of its fields."""
     lens = lens_model(
         f"{fields.where}: distortion_model", fields.word("distortion_model", default="plumb_bob")
     )
@@ -265,7 +266,7 @@ _FORMS: tuple[tuple[str, Callable[[Mapping[Any, Any]], bool], Callable[[Fields, 
     (
         "ROS camera_info",
         lambda data: "distortion_model" in data and _has(data, ("camera_matrix", "K", "k")),
-        _camera_info,
+        camera_info,
     ),
     ("OpenCV FileStorage", lambda data: _has(data, _MATRIX), _opencv),
 )

@@ -10,6 +10,7 @@ from typing import Literal
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_folder, is_given
 from dslab.sim.io import euroc, kitti, layout, reconstructions, tartanair, tum, tum_mono, vslam_lab
+from dslab.sim.io.bag import is_bag, load_bag
 from dslab.sim.io.clock import origin_ns
 from dslab.sim.io.folders import Progress
 from dslab.sim.io.loose_images import load_images
@@ -36,6 +37,7 @@ class Form(StrEnum):
     REPLICA = "replica"
     NERFSTUDIO = "nerfstudio"
     COLMAP = "colmap"
+    ROS_BAG = "ros-bag"
 
 
 TruthForm = Literal["tum", "kitti", "euroc"]
@@ -54,6 +56,7 @@ _LOADERS: dict[Form, Callable[..., Sequence]] = {
     **{Form(name): partial(load_layout, form) for name, form in LAYOUTS.items()},
     Form.NERFSTUDIO: reconstructions.load_transforms,
     Form.COLMAP: reconstructions.load_colmap,
+    Form.ROS_BAG: load_bag,
 }
 _ANY_CAMERA = (Form.TUM, *map(Form, LAYOUTS), Form.NERFSTUDIO, Form.COLMAP)
 """The forms whose intrinsics a calibration from elsewhere may replace."""
@@ -106,6 +109,8 @@ def _form_of(folder: Path) -> Form | None:
         return None
     if reconstructions.model_folder(folder) is not None:
         return Form.COLMAP
+    if is_bag(folder):
+        return Form.ROS_BAG
     fits = (Form(name) for name, form in LAYOUTS.items() if form.fits(folder))
     # Any of the others may have a camera.yaml too.
     return next(fits, Form.TUM if is_given(folder / layout.CAMERA_FILE) else None)
@@ -124,15 +129,15 @@ def load_sequence(
     truth: str | Path | None = None,
     truth_form: TruthForm = "tum",
 ) -> Sequence:
-    """Read a sequence from a folder of any form, or from images or a video with a camera.
+    """Read a sequence from a folder of any form, or from a ROS bag, images or a video.
 
     Args:
         path: the folder; for the EuRoC form, ``mav0`` may be given too. With ``camera`` a folder of images
-            without any list, or a video file.
+            without any list, or a video file. A bag may be followed by ``:TOPIC``.
         camera: calibration of images or a video, or in the place of that of a folder in TUM's form or of
             images without times; see ``sim.io.camera_file.read_camera``.
-        progress: called with (step, frames done, frames in all) while a video is decoded.
-        force: decode a video even if its frames seem too many for the disk.
+        progress: called with (step, frames done, frames in all) while a video or a bag is decoded.
+        force: decode it even if its frames seem too many for the disk.
         truth: file of true poses, camera to world, in the place of the sequence's own.
         truth_form: ``tum`` and ``euroc`` on the clock of the frames, or ``tum`` on that of EuRoC's stamps,
             ``kitti`` with a line per frame.
@@ -148,7 +153,9 @@ def load_sequence(
     form = _form_of(folder)
     # Images may be of any place, that of a camera.yaml too.
     listed = form in _ANY_CAMERA and (form is not Form.TUM or is_given(folder / layout.FRAMES_FILE))
-    if camera is not None and form is not None and listed:
+    if form is Form.ROS_BAG or (form is None and is_bag(path)):
+        sequence = load_bag(Path(path), camera and Path(camera), progress=progress, force=force)
+    elif camera is not None and form is not None and listed:
         sequence = _LOADERS[form](folder, Path(camera))
     elif camera is None:
         sequence = _LOADERS[detect_form(folder)](folder)

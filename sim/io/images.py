@@ -188,6 +188,11 @@ def read_raw(path: Path, shape: tuple[int, int], authority: str) -> np.ndarray:
     return _decoded(_bytes(path), str(path), cv2.IMREAD_UNCHANGED, shape, authority)
 
 
+def decoded_gray(data: bytes, where: str, shape: tuple[int, int]) -> np.ndarray:
+    """(H, W) uint8 of the content of an image file; errors as of ``GrayFolder``."""
+    return _decoded(data, where, cv2.IMREAD_GRAYSCALE, shape, "the first image")
+
+
 def image_shape(path: Path) -> tuple[int, int]:
     """(H, W) of an image file, from its header. Raises InputError without one, or for a size not taken."""
     width, height = _header(_bytes(path), str(path))

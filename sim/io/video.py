@@ -6,6 +6,7 @@ import weakref
 from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,9 @@ import numpy as np
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import open_file
-from dslab.sim.cache import FolderCache, content_key
 from dslab.sim.io.camera_file import check_camera, other_size, read_camera
-from dslab.sim.io.raw import RawFrames, RawWriter
-from dslab.sim.room import Need, check_room
+from dslab.sim.io.decoding import decoded_once
+from dslab.sim.io.raw import RawFrames
 from dslab.sim.sequence import Sequence
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ _REMEDY = "give a video that FFmpeg decodes, or its images as a folder"
 _MOST_FPS = 1000.0
 # A container without a list of its frames gives their number by duration and mean rate.
 _MOST_LACKING = 0.02
-_FRAMES, _STAMPS = "gray.npy", "stamps.npy"
 _KEPT = 4  # frames in colour: neighbours are asked for more than once
 
 
@@ -67,18 +66,17 @@ def load_video(
         raise other_size(str(path), (width, height), size, str(camera_file))
     with open_file(path) as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
-    store, key = FolderCache(cache_dir), content_key({"video": digest, "size": size, "fps": camera.fps})
-    if store.find(key) is None:
+
+    def stamps_of_all() -> np.ndarray:
         stamps_s = _read_stamps(path, camera.fps)
         if len(stamps_s) < (1 - _MOST_LACKING) * count - 1 and not force:
             problem = f"{len(stamps_s)} of its {count} frames can be decoded"
             raise InputError(str(path), problem, "copy it again; --force takes what there is")
-        check_room(str(path), len(stamps_s), [Need(store.root, len(stamps_s) * size[0] * size[1])], force)
-        with store.create(key) as folder:
-            np.save(folder / _STAMPS, stamps_s)
-            _decode(path, folder / _FRAMES, (len(stamps_s), *size), progress)
-    folder = store.root / key
-    stamps_s = np.load(folder / _STAMPS)
+        return stamps_s
+
+    content = {"video": digest, "size": size, "fps": camera.fps}
+    frames_of = partial(_frames, path, size)
+    stamps_s, frames = decoded_once(path, content, size, stamps_of_all, frames_of, cache_dir, progress, force)
     if len(stamps_s) > 1:
         # Stamps of a video are rounded.
         camera = replace(camera, fps=round(1 / float(np.median(np.diff(stamps_s))), 4))
@@ -87,7 +85,7 @@ def load_video(
         name=path.stem,
         camera=camera,
         stamps_s=stamps_s,
-        frames=_VideoFrames(path, RawFrames(folder / _FRAMES, (len(stamps_s), *size), np.uint8)),
+        frames=_VideoFrames(path, frames),
         T_world_cam=None,
         depths=None,
         segments=(),
@@ -158,23 +156,16 @@ def _read_stamps(path: Path, fps: float) -> np.ndarray:
     return stamps_s if (np.diff(stamps_s) > 0).all() else np.arange(len(stamps_s)) / fps
 
 
-def _decode(
-    path: Path,
-    target: Path,
-    shape: tuple[int, int, int],
-    progress: Callable[[str, int, int], None] | None,
-) -> None:
-    """Write the gray frames of a video as a stack."""
+def _frames(path: Path, size: tuple[int, int], count: int) -> "Iterator[np.ndarray]":
+    """The gray frames of a video."""
     import cv2
 
-    with _opened(path) as video, RawWriter(target, shape, np.uint8) as frames:
-        for index in range(shape[0]):
+    with _opened(path) as video:
+        for index in range(count):
             done, image = video.read()
-            if not done or image.shape[:2] != shape[1:]:
+            if not done or image.shape[:2] != size:
                 raise InputError(f"{path}: frame {index}", "cannot be decoded", _REMEDY)
-            frames.append(image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
-            if progress:
-                progress("decoding", index + 1, shape[0])
+            yield image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
 @contextmanager
