@@ -186,6 +186,12 @@ def euroc_sensor(fields: Fields, name: str = "") -> Calibration:
     return Calibration("", (fx, fy), (cx, cy), **lens, size_px=size, fps=fields.maybe("rate_hz"))
 
 
+def _replica(fields: Fields, name: str) -> Calibration:
+    of = fields.part("camera")
+    focal, centre = (of.number("fx"), of.number("fy")), (of.number("cx"), of.number("cy"))
+    return Calibration("", focal, centre, size_px=of.size(("w", "h")))
+
+
 def transforms_camera(fields: Fields, name: str = "") -> Calibration:
     """The one camera of a transforms.json."""
     listed = fields.data.get("frames", [])
@@ -258,6 +264,7 @@ _FORMS: tuple[tuple[str, Callable[[Mapping[Any, Any]], bool], Callable[[Fields, 
     ("stella_vslam settings", lambda data: isinstance(data.get("Camera"), Mapping), _stella),
     ("VINS settings", lambda data: "projection_parameters" in data or "mirror_parameters" in data, _vins),
     ("EuRoC sensor.yaml", lambda data: "intrinsics" in data and "resolution" in data, euroc_sensor),
+    ("Replica cam_params", lambda data: isinstance(data.get("camera"), Mapping), _replica),
     (
         "nerfstudio transforms",
         lambda data: _has(data, ("fl_x", "camera_angle_x", "frames")),

@@ -15,6 +15,7 @@ to colour and those of ScanNet have another size: neither are read. 7-Scenes pub
 Source: the data sets' pages, and for Replica the rendering that NICE-SLAM distributes.
 """
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,9 +25,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dslab.scenarios.errors import InputError, notice
-from dslab.scenarios.input_files import file_names, is_folder, is_given, read_json
+from dslab.scenarios.input_files import file_names, is_folder, is_given
 from dslab.sim.io import layout
-from dslab.sim.io.calibration import Calibration, Fields
+from dslab.sim.io.calibration import Calibration
+from dslab.sim.io.calibrations import read_calibration
 from dslab.sim.io.camera_file import intrinsics_of, read_camera
 from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape
 from dslab.sim.io.sidecars import read_sidecars
@@ -117,7 +119,7 @@ def posed_sequence(
         frames=GrayFolder(images, size, str(own)),
         T_world_cam=T_world_cam,
         depths=DepthFolder(depths[0], size, depths[1], str(own)) if depths and some else None,
-        image_names=tuple(str(image.relative_to(folder)) for image in images),
+        image_names=tuple(os.path.relpath(image, folder) for image in images),
         **read_sidecars(folder, len(images)),
     )
 
@@ -145,7 +147,7 @@ def load_layout(form: Layout, folder: Path, camera_file: Path | None = None) -> 
     return posed_sequence(
         folder,
         images,
-        np.array(numbers, float),
+        np.array(numbers),
         calibration,
         camera_file,
         form.poses(folder, written),
@@ -237,15 +239,13 @@ def _json_camera(folder: Path) -> tuple[Path, Calibration] | None:
     """Replica's camera, in the folder or beside it."""
     places = (folder / "cam_params.json", folder.resolve().parent / "cam_params.json")
     path = next(filter(is_given, places), None)
-    if path is None:
-        return None
-    of = Fields(str(path), read_json(path, dict)).part("camera")
-    focal, centre = (of.number("fx"), of.number("fy")), (of.number("cx"), of.number("cy"))
-    return path, Calibration("Replica cam_params", focal, centre, size_px=of.size(("w", "h")))
+    found = None if path is None else read_calibration(path)
+    return None if path is None or found is None else (path, found)
 
 
+_NUMBER = "([0-9]{1,9})"
 _IMAGE = r"(png|jpg|jpeg)"
-_SEVEN_SCENES = rf"frame-(\d+)\.color\.{_IMAGE}"
+_SEVEN_SCENES = rf"frame-{_NUMBER}\.color\.{_IMAGE}"
 LAYOUTS = {
     "7-scenes": Layout(
         "",
@@ -256,18 +256,18 @@ LAYOUTS = {
     ),
     "icl-nuim": Layout(
         "rgb",
-        rf"(\d+)\.{_IMAGE}",
+        rf"{_NUMBER}\.{_IMAGE}",
         r".*\.gt\.freiburg|associations\.txt",
         _by_number,
         Calibration("ICL-NUIM", (481.2, 480.0), (319.5, 239.5), size_px=(640, 480)),
         depth="depth/{}.png",
     ),
     "scannet": Layout(
-        "color", rf"(\d+)\.{_IMAGE}", "pose|intrinsic", _in_files("pose/{}.txt"), camera=_matrix_camera
+        "color", rf"{_NUMBER}\.{_IMAGE}", "pose|intrinsic", _in_files("pose/{}.txt"), camera=_matrix_camera
     ),
     "replica": Layout(
         "results",
-        rf"frame(\d+)\.{_IMAGE}",
+        rf"frame{_NUMBER}\.{_IMAGE}",
         r"traj\.txt|cam_params\.json",
         _in_lines,
         Calibration("Replica", (600.0, 600.0), (599.5, 339.5), size_px=(1200, 680)),

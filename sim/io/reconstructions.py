@@ -48,8 +48,8 @@ def load_transforms(folder: Path, camera_file: Path | None = None) -> Sequence:
     poses: dict[Path, np.ndarray] = {}
     for index, frame in enumerate(listed if isinstance(listed, list) else []):
         fields = Fields(f"{path}: frames[{index}]", frame if isinstance(frame, Mapping) else {})
-        image = folder / fields.word("file_path")
-        image = image if image.suffix else image.with_name(f"{image.name}.png")
+        name = fields.word("file_path")
+        image = folder / (name if Path(name).suffix else f"{name}.png")
         rows = np.reshape(fields.numbers("transform_matrix", lengths=(12, 16)), (-1, 4))
         poses[image] = rigid(f"{fields.where}: transform_matrix", rows) @ _OPENGL
 

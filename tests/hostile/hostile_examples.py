@@ -11,6 +11,7 @@ from hostile_sequences import (
     euroc,
     evo_results,
     images_and_video,
+    images_with_poses,
     kitti,
     tartanair,
     tum,
@@ -234,6 +235,15 @@ EXAMPLES: dict[str, Example] = {
             ),
             sparse=("images",),
             free=("walk.avi",),
+        ),
+        Example(
+            "images with poses",
+            images_with_poses,
+            tuple(
+                f"export {{in}}/{name} --format tum --out {{out}}"
+                for name in ("scannet", "room/replica", "nerfstudio", "colmap")
+            ),
+            free=("*",),  # poses have no stamps, and a frame may be without one
         ),
         Example("evo results", evo_results, ("evo {in}/mine.zip",)),
         Example("scenario", _scenario, _DRAWN, sparse=("*",)),

@@ -17,6 +17,8 @@ _WORKING = ("experiment run", "experiment fuzz", "bench", "doctor", "warmup", "p
 """Commands that an input can set to long work: at the end of their time they are no hang."""
 _REFUSAL = re.compile(r"error: [^\n]+: [^\n]+; [^\n]+\n")
 _REFUSALS = re.compile(rf"({_REFUSAL.pattern})+(and \d+ more\n)?")
+# What was noticed of the input before it was refused.
+_NOTES = re.compile(r"^note: [^\n]+\n", re.MULTILINE)
 _PARTIAL = re.compile(r"partial|unfinished|dslab|tmp")
 _PASSING = ("-wal", "-shm", "-journal")
 
@@ -52,7 +54,7 @@ def faults_of(ended: Ended, command: str = "") -> list[str]:
         faults.append(f"ended by signal {-ended.code} after {ended.wall_s:.0f} s")
     elif ended.code not in (0, 2):
         faults.append(f"exit code {ended.code}: {_last_frames(ended.err)}")
-    elif ended.code == 2 and not refusal.fullmatch(ended.err):
+    elif ended.code == 2 and not refusal.fullmatch(_NOTES.sub("", ended.err)):
         faults.append(f"not one line: {ended.err[:400]!r}")
     if "Traceback" in ended.err and ended.code in (0, 2):
         faults.append(f"a traceback: {_last_frames(ended.err)}")

@@ -1,5 +1,6 @@
 """Sequence folders of every form, as small as can be, with all that they may hold."""
 
+import json
 import shutil
 import zipfile
 from dataclasses import replace
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 
 from dslab.experiments.evaluation.evo_result import EvoResult, statistics, write_evo_result
 from dslab.sim.io.camera_file import write_camera
@@ -74,6 +76,53 @@ def tartanair(folder: Path) -> None:
     rows = [f"{0.1 * frame} 0 0 0 0 0 1" for frame in range(FRAMES)]
     (folder / "pose_left.txt").write_text("\n".join(rows) + "\n")
     write_camera(sequence().camera, folder / "camera.yaml")
+
+
+def images_with_poses(folder: Path) -> None:
+    """As ScanNet, Replica, nerfstudio and COLMAP, text and binary, have them."""
+    one = sequence()
+    images = {
+        "scannet": "color/{}.png",
+        "room/replica": "results/frame{:06d}.png",
+        "nerfstudio": "images/f{}.png",
+        "colmap": "images/f{}.png",
+    }
+    for name, place in images.items():
+        for frame, image in enumerate(one.frames):
+            path = folder / name / place.format(frame)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            cv2.imwrite(str(path), image)
+    rows = [" ".join(map(str, pose.ravel().tolist())) for pose in one.T_world_cam]
+    (folder / "scannet/pose").mkdir()
+    for frame, row in enumerate(rows):
+        (folder / f"scannet/pose/{frame}.txt").write_text(row + "\n")
+    (folder / "scannet/intrinsic").mkdir()
+    matrix = "70 0 47.5 0\n0 70 31.5 0\n0 0 1 0\n0 0 0 1\n"
+    (folder / "scannet/intrinsic/intrinsic_color.txt").write_text(matrix)
+    (folder / "room/replica/traj.txt").write_text("\n".join(rows) + "\n")
+    camera = {"w": SHAPE[1], "h": SHAPE[0], "fx": 70.0, "fy": 70.0, "cx": 47.5, "cy": 31.5, "scale": 6553.5}
+    (folder / "room/cam_params.json").write_text(json.dumps({"camera": camera}))
+    frames = [
+        {"file_path": f"images/f{frame}.png", "transform_matrix": pose.tolist()}
+        for frame, pose in enumerate(one.T_world_cam)
+    ]
+    (folder / "nerfstudio/transforms.json").write_text(json.dumps({"fl_x": 70.0, "frames": frames}))
+    model = pycolmap.Reconstruction()
+    model.add_camera_with_trivial_rig(
+        pycolmap.Camera(
+            camera_id=1, model="PINHOLE", width=SHAPE[1], height=SHAPE[0], params=[70, 70, 48, 32]
+        )
+    )
+    for frame, pose in enumerate(one.T_world_cam):
+        image = pycolmap.Image(name=f"f{frame}.png", camera_id=1, image_id=frame + 1)
+        T = np.linalg.inv(pose)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pycolmap.Rotation3d(T[:3, :3]), T[:3, 3]))
+    for place, write in (("sparse/0", model.write_binary), ("sparse", model.write_text)):
+        (folder / "colmap" / place).mkdir(parents=True, exist_ok=True)
+        write(folder / "colmap" / place)
+    for path in (folder / "colmap/sparse").rglob("*.*"):
+        if path.stem not in {"images", "cameras"}:  # the others are not read
+            path.unlink()
 
 
 def images_and_video(folder: Path) -> None:
