@@ -148,7 +148,8 @@ def load_sequence(
             another size.
     """
     if camera is None and is_video(path) and not is_folder(path):
-        raise InputError(str(path), "a video says nothing of its camera", "add its intrinsics: --camera FILE")
+        remedy = "add its intrinsics: --camera FILE (sim.load_sequence(…, camera=FILE))"
+        raise InputError(str(path), "a video says nothing of its camera", remedy)
     folder = sequence_folder(Path(path))
     form = _form_of(folder)
     # Images may be of any place, that of a camera.yaml too.

@@ -5,8 +5,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
+from dslab import sim
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.camera_file import read_camera
 from dslab.sim.io.forms import load_sequence
@@ -99,6 +101,22 @@ def test_true_poses_may_lie_in_a_file_of_their_own(tmp_path, camera, form):
     np.testing.assert_allclose(read.T_world_cam, T, atol=1e-8)
     with pytest.raises(InputError, match=r"absent\.txt: no such file"):
         load_sequence(tmp_path / "walk", camera, truth=tmp_path / "absent.txt", truth_form=form)
+
+
+def test_python_takes_what_the_command_line_takes(tmp_path, monkeypatch):
+    """Names as text, one of several cameras, poses of a file."""
+    monkeypatch.chdir(tmp_path)
+    video(tmp_path / "walk.mp4", "mp4v")
+    camera = {"intrinsics": [80, 80, 47.5, 31.5], "resolution": [96, 64], "camera_model": "pinhole"}
+    Path("camchain.yaml").write_text(
+        yaml.safe_dump({"cam0": {**camera, "intrinsics": [9] * 4}, "cam1": camera})
+    )
+    Path("poses.txt").write_text("".join(f"{n / FPS} {n} 0 0 0 0 0 1\n" for n in range(9)))
+    read = sim.load_sequence("walk.mp4", camera="camchain.yaml:cam1", truth="poses.txt")
+    assert read.camera.fx == 80 and read.T_world_cam[8, 0, 3] == 8
+    images(tmp_path / "walk", "0.png", "1.png")
+    Path("cam.yaml").write_text(CAMERA)
+    assert len(sim.load_sequence("walk", camera="cam.yaml")) == 2
 
 
 def test_a_folder_of_two_cameras_is_refused(tmp_path, camera):
