@@ -19,6 +19,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.syntax import Syntax
 from rich.table import Table
 from rich.text import Text
 
@@ -236,6 +237,14 @@ def print_json_line(value: Any) -> None:
     from dslab.experiments.runs.files import to_json
 
     print(to_json(value))
+
+
+def print_yaml(text: str) -> None:
+    """Print YAML as it is, in colours on a terminal."""
+    if out.is_terminal:
+        out.print(Syntax(text, "yaml", background_color="default"))
+    else:
+        print(text, end="")
 
 
 def print_schema(schema: dict[str, Any]) -> None:

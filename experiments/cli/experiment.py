@@ -18,6 +18,8 @@ from dslab.experiments.cli.console import (
     say,
 )
 from dslab.experiments.cli.experiment_answer import print_report, print_systems, print_warnings
+from dslab.experiments.cli.experiment_specs import list_command, show_command
+from dslab.experiments.cli.experiment_units import unit_to_replay
 from dslab.experiments.cli.fuzz import fuzz_command
 from dslab.experiments.cli.proofs import power_command, prove_command
 from dslab.experiments.cli.units import (
@@ -44,6 +46,8 @@ The folder of an experiment holds its spec, a ledger with one row per unit, and 
 `dslab experiment report out/smoke`
 """
 app = typer.Typer(help=_HELP, no_args_is_help=True)
+app.command("list")(list_command)
+app.command("show")(show_command)
 app.command("boundary")(boundary_command)
 app.command("fuzz")(fuzz_command)
 app.command("power")(power_command)
@@ -226,7 +230,14 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
 @app.command("replay")
 def replay_command(
     folder: FolderArgument,
-    unit: Annotated[str, typer.Argument(help="Id of the unit or a unique prefix, or CELL:INDEX.")],
+    unit: Annotated[
+        str | None,
+        typer.Argument(help="Id of the unit or a unique prefix, or CELL:INDEX; without it some are listed."),
+    ] = None,
+    outcome: Annotated[
+        str | None,
+        typer.Option(metavar="TEXT", help="Instead of UNIT: the first of whose outcome this is a part."),
+    ] = None,
     rerun: Annotated[
         Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for `dslab view`.")
     ] = None,
@@ -237,9 +248,12 @@ def replay_command(
 ) -> None:
     """Replay one unit and compare it with the ledger or the published table; exit code 1 if they differ.
 
-    For example:
+    Without a unit, the first that fails in each condition is listed, with the command that replays it. For
+    example:
 
-    `dslab experiment replay out/smoke 3fa9`
+    `dslab experiment replay out/smoke`
+
+    `dslab experiment replay out/smoke --outcome "dual failure"`
 
     `dslab experiment replay docs/eq1 corridor/low_texture/1:7 --rerun unit.rrd`
     """
@@ -247,6 +261,9 @@ def replay_command(
     from dslab.experiments.campaign.workers import UnitWorkers
     from dslab.experiments.jobs.pool import PoolSettings
 
+    unit = unit or unit_to_replay(folder, outcome)
+    if unit is None:
+        return
     folders = tuple(folder.absolute() for folder in systems_dir or ())
     workers = UnitWorkers(PoolSettings(1, None, timeout, memory or None), folders)
     with progress_bars() as show:

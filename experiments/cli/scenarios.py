@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.padding import Padding
-from rich.syntax import Syntax
 from rich.text import Text
 
 from dslab.experiments.cli.console import (
@@ -16,6 +15,7 @@ from dslab.experiments.cli.console import (
     print_error_line,
     print_rows,
     print_schema,
+    print_yaml,
     progress_bars,
     say,
     single_threaded_opencv,
@@ -98,11 +98,7 @@ def show(
     from dslab.scenarios.loading import dump_yaml
 
     family = load_family(scenario)
-    text = family.as_yaml() if seed is None else dump_yaml(family.sample(seed))
-    if out.is_terminal:
-        out.print(Syntax(text, "yaml", background_color="default"))
-    else:
-        print(text, end="")
+    print_yaml(family.as_yaml() if seed is None else dump_yaml(family.sample(seed)))
 
 
 @app.command()

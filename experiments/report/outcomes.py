@@ -75,6 +75,27 @@ def failures(table: pd.DataFrame, threads: int, folder: Path) -> list[dict[str, 
     return found
 
 
+def happened(table: pd.DataFrame, threads: int) -> list[dict[str, Any]]:
+    """What happened in every unit, in words: its outcome, a breakage, failures; in table order.
+
+    Returns:
+        Per unit its ``cell``, ``index`` and ``words``, and as ``rank`` 2 if it failed, 1 if it broke, else 0.
+    """
+    found = []
+    for row in table.to_dict("records"):
+        failed, broke = [], False
+        words = [str(row["outcome"]).replace("_", " ")]
+        if row["outcome"] == Outcome.COMPLETED:
+            words = ["no stress acted"] if row["exposed"] is False else []
+            reason = str(as_data(row["breakage_reason"]) or "").replace("_", " ")
+            failed, broke = _failures_of(row, threads), _is_set(row["breakage"])
+            words += [f"breakage ({reason})" if reason else "breakage"] if broke else []
+            words += failed
+        place = {"cell": row["cell"], "index": int(row["index"])}
+        found.append(place | {"words": words or ["no failure"], "rank": 2 if failed else int(broke)})
+    return found
+
+
 def _failures_of(row: dict[Any, Any], threads: int) -> list[str]:
     """Names of the failures of a unit."""
     numbers = range(1, threads + 1)

@@ -1,10 +1,10 @@
 """``dslab experiment``: run, resume, status, export, replay, power; bad input is one line."""
 
 import json
+import re
 import shutil
 import sqlite3
 from contextlib import nullcontext
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,8 +20,7 @@ from dslab.experiments.campaign.folder import (
     open_ledger,
     read_experiment,
 )
-from dslab.experiments.campaign.runner import SystemTally, Tally, run_experiment
-from dslab.experiments.cli.units import estimates_text
+from dslab.experiments.campaign.runner import run_experiment
 from dslab.experiments.eq1.records import columns, decided
 from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.jobs.ledger import LEDGER_FILE
@@ -118,14 +117,6 @@ def test_the_status_counts_units_per_cell(dslab, smoke):
     assert code == 0 and "3 / 3" in out and "6 of 6 units" in out
 
 
-def test_a_system_without_threads_has_a_dash_where_all_threads_fail(dslab):
-    folder = ROOT / "docs" / "rescue"
-    code, out, _ = dslab("experiment", "status", folder)
-    lines = [line.split() for line in out.splitlines() if " / " in line]
-    assert code == 0 and lines and all(line[-2] == "-" for line in lines)
-    assert out.rstrip().splitlines()[-1].startswith("360 of 360 units, finished, ")
-
-
 def test_a_replay_agrees_with_the_ledger_or_names_the_differing_columns(dslab, smoke):
     spec, table = read_experiment(smoke)
     unit_id, cell, index = table["unit_id"][4], table["cell"][4], int(table["index"][4])
@@ -140,6 +131,45 @@ def test_a_replay_agrees_with_the_ledger_or_names_the_differing_columns(dslab, s
     replayed = json.loads(out)
     assert code == 1 and replayed["differing"] == ["onset_s"] and replayed["recorded"]["onset_s"] == 1.5
     assert decided(replayed["record"]) == decided(made_up_record(spec.unit(cell, index)))
+
+
+def test_without_a_unit_the_first_failure_of_each_condition_is_listed_with_its_command(dslab, smoke):
+    table = read_experiment(smoke)[1]
+    code, out, _ = dslab("experiment", "replay", smoke)
+    lines = [line.partition("  # ") for line in out.splitlines()]
+    assert code == 0 and len(lines) == 2
+    for (command, _, words), (cell, own) in zip(lines, table.groupby("cell"), strict=True):
+        failed = own[own["d1"].fillna(False)]
+        index = (failed if len(failed) else own[own["breakage"].fillna(False)])["index"].iloc[0]
+        assert command == f"dslab experiment replay {smoke} {cell}:{index}" and "breakage" in words
+    code, out, _ = dslab("experiment", "replay", smoke, "--outcome", "dual failure", "--json")
+    assert code == 0 and json.loads(out)["record"]["d1"]
+    code, _, err = dslab("experiment", "replay", smoke, "--outcome", "rain")
+    assert code == 2 and err.count("\n") == 1 and "use a part of: " in err and "breakage" in err
+
+
+def test_what_there_is_to_run_and_what_was_run_is_listed_and_shown(dslab, smoke, tmp_path):
+    code, out, _ = dslab("experiment", "list", tmp_path)
+    lines = [" ".join(line.split()) for line in out.splitlines()]
+    assert code == 0 and any(
+        re.match(r"eq1 2400 about \d+ \w+ on \d+ cores? Eq. 1, conf", li) for li in lines
+    )
+    assert any(line.endswith(" smoke finished 6 / 6") for line in lines)
+    shown = dslab("experiment", "show", smoke)[1]
+    assert load_shown(shown, tmp_path).content_hash == load_spec(str(smoke / "spec.yaml")).content_hash
+    assert "# low_texture/2: low texture, contrast 0.02\n# 6 of 6 units are done\n" in shown.replace(
+        "\xa0", " "
+    )
+    shown = dslab("experiment", "show", "smoke")[1]
+    assert load_shown(shown, tmp_path).content_hash == load_spec("smoke").content_hash
+    assert shown.startswith("# smoke: 3 cells of 4 units (2 worlds × 1 sequence × 2 repeats), about ")
+    code, _, err = dslab("experiment", "list", tmp_path / "none")
+    assert code == 2 and "is no folder" in err
+
+
+def load_shown(text, folder):
+    (folder / "shown.yaml").write_text(text)
+    return load_spec(folder / "shown.yaml")
 
 
 def test_a_published_table_is_replayed_without_its_ledger(dslab, smoke):
@@ -316,32 +346,6 @@ def test_power_prints_that_of_both_tests(dslab):
 def test_the_schema_is_one_of_json(dslab):
     code, out, _ = dslab("experiment", "schema")
     assert code == 0 and "confirmatory" in json.loads(out)["properties"]
-
-
-def test_estimates_are_shares_with_counts():
-    dual = SystemTally("dual", completed=10, breakages=4, failures=1)
-    tally = Tally(12, 20, void=1, errors=1, retries=5, ended_here=6, workers=2, systems=(dual,))
-    assert estimates_text(tally) == "p0 0.40 (4/10), dual failures 0.10 (1/10); 1 void, 1 errors"
-    crossing = SystemTally("dual", 0, 0, 0, crossing=8, uncrossed=2)
-    assert estimates_text(replace(tally, systems=(crossing,), errors=0)) == (
-        "no thread crosses 0.25 (2/8); 1 void"
-    )
-    assert estimates_text(Tally(0, 20, 0, 0, 0, 0, workers=0)) == "0 void"
-    own = SystemTally("Own", completed=0, breakages=0, failures=0, has_threads=False)
-    assert estimates_text(replace(tally, systems=(dual, own), errors=0)) == (
-        "dual: p0 0.40 (4/10), dual failures 0.10 (1/10); Own: p0 - (0/0), system failures - (0/0); 1 void"
-    )
-
-
-def test_a_run_of_the_crossing_arm_says_how_often_no_thread_crosses(dslab, tmp_path):
-    folder = tmp_path / "threads"
-    assert dslab("experiment", "merge", str(ROOT / "docs" / "threads"), "--out", str(folder))[0] == 0
-    code, out, _ = dslab("experiment", "run", "threads", "--out", str(folder))
-    table = pq.read_table(ROOT / "docs" / "threads" / "units.parquet").to_pandas()
-    table = table[table["exposed"]]  # in nine units the stress acts on no frame
-    failed = table[[f"cross_r{thread}_failed" for thread in (1, 2, 3)]].astype(bool).all(axis=1).sum()
-    assert code == 0
-    assert f"700 of 700 units: no thread crosses {failed / 691:.2f} ({failed}/691); 0 void" in out
 
 
 @pytest.mark.slow
