@@ -140,7 +140,7 @@ def _around(rho: float, square: float, linear: float, constant: float) -> tuple[
         end = -constant / linear
         return (-inf, max(end, rho)) if linear > 0 else (min(end, rho), inf)
     root = linear**2 - 4 * square * constant
-    if root <= 0:
+    if root <= ROUNDING * linear**2:  # the rounding of two large terms: its square root is no width
         return (rho, rho) if square > 0 else (-inf, inf)
     ends = sorted((-linear + sign * sqrt(root)) / (2 * square) for sign in (-1, 1))
     if square > 0:

@@ -135,6 +135,10 @@ def test_a_ratio_has_the_values_that_the_worlds_do_not_contradict(rng):
         rest = a.pseudo_values - rho * c.pseudo_values
         assert abs(rest.mean()) == pytest.approx(t * rest.std(ddof=1) / np.sqrt(50))
     assert ratio_interval(a, Figure.mean(np.zeros(50))) is None
+    for worlds in (12, 60, 300):
+        for p, q in ((0.1, 0.3), (1 / 3, 1 / 9), (2 / 3, 0.7), (0.9, 0.27)):
+            alike = ratio_interval(Figure.mean(np.full(worlds, p)), Figure.mean(np.full(worlds, q)))
+            assert alike.low == alike.value == alike.high
     loose = ratio_interval(a, Figure.mean(rng.normal(0.1, 2.0, 50)))
     assert loose is None or inf in (loose.high, -loose.low)
 
