@@ -6,16 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
+from dslab.experiments.evaluation.alignment import Similarity
 from dslab.experiments.evaluation.audit_report import audit_record
 from dslab.experiments.evaluation.audit_text import audit_text
-from dslab.experiments.evaluation.scene import Scene
 from dslab.experiments.recording import palette
 from dslab.experiments.recording.describe import describe_event
 from dslab.experiments.recording.lanes import Lane
 from dslab.experiments.recording.palette import Color
-from dslab.experiments.recording.paths import RunPaths, pins, thin
+from dslab.experiments.recording.paths import LABEL_WIDTH, RunPaths, pins, thin
+from dslab.experiments.recording.placement import Placements
 from dslab.experiments.recording.stories import stories
 from dslab.experiments.recording.stream import Stream, part
+from dslab.experiments.recording.viewpoint import Viewpoint
 from dslab.experiments.runs.execution import RunRecord
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.events import Breakage
@@ -25,27 +27,30 @@ INJECTED, SYSTEMS = "injected", "slam"
 
 _STEP_S = 0.5
 _MOST_DOTS = 60
+_ASIDE, _LABEL_ASIDE = 0.2, 0.1
+"""Distance of a map in its own frame from where it begins, of a label from its map, shares of the extent."""
 
 
-def draw_truth(stream: Stream, sequence: Sequence, scene: Scene, shrink: float) -> None:
+def draw_truth(stream: Stream, sequence: Sequence, view: Viewpoint, shrink: float) -> None:
     """Draw the axes of the world, and the true path and camera where known.
 
     Args:
         stream: the file.
         sequence: the input sequence.
-        scene: common scene of all runs.
+        view: how the scene is looked at.
         shrink: scale of the recorded images relative to the input images.
     """
-    stream.static("world", _view_coordinates(scene.up))
-    if scene.T_world_cam is None:
+    stream.static("world", _view_coordinates(view.up))
+    truth = sequence.T_world_cam
+    if truth is None:
         return
-    known = np.isfinite(scene.T_world_cam).all(axis=(1, 2))
+    known = np.isfinite(truth).all(axis=(1, 2))
     # Dots, between which the estimate can be seen.
-    places = thin(scene.T_world_cam[known, :3, 3], _MOST_DOTS)
+    places = thin(truth[known, :3, 3], _MOST_DOTS)
     path = rr.Points3D(places, colors=palette.TRUTH, radii=rr.Radius.ui_points(2.6))
     stream.static("world/true_path", path)
-    stream.static("world/true_camera", pinhole(sequence, shrink, 0.03 * scene.extent, palette.TRUTH))
-    stream.poses("world/true_camera", np.flatnonzero(known), scene.T_world_cam[known])
+    stream.static("world/true_camera", pinhole(sequence, shrink, 0.03 * view.extent, palette.TRUTH))
+    stream.poses("world/true_camera", np.flatnonzero(known), truth[known])
 
 
 def pinhole(sequence: Sequence, shrink: float, size: float, color: Color) -> rr.Pinhole:
@@ -82,21 +87,23 @@ class MapSnapshot:
 class RunDrawing:
     """Draw one run under the name of its system.
 
+    Each map has an entity, under which its path, keyframes and points lie in its own coordinates. The
+    transform of the entity places it.
+
     Args:
         stream: the file.
         record: the run.
-        scene: alignment of its maps with the world.
-        extent: extent of all drawn paths, for the sizes of symbols.
+        view: how the scene is looked at, and how large its symbols are.
         shrink: scale of the recorded images relative to the input images.
     """
 
-    def __init__(self, stream: Stream, record: RunRecord, scene: Scene, extent: float, shrink: float) -> None:
+    def __init__(self, stream: Stream, record: RunRecord, view: Viewpoint, shrink: float) -> None:
         self._stream = stream
         self._record = record
-        self._scene = scene
-        self._extent = extent
+        self._view = view
         self._shrink = shrink
-        self._paths = RunPaths(record, scene)
+        self._maps = Placements(record, -_ASIDE * view.extent * view.across)
+        self._paths = RunPaths(record, self._maps)
         self._name = part(record.system_kind)
         self._world = f"world/{self._name}"
 
@@ -116,22 +123,26 @@ class RunDrawing:
             if result.state != state:
                 state = result.state
                 color = palette.STATES.get(str(state), palette.NOTE)
-                size = 0.06 * self._extent
+                size = 0.06 * self._view.extent
                 self._stream.log(
                     entity, result.frame, pinhole(self._record.sequence, self._shrink, size, color)
                 )
-        for map_id, alignment in self._scene.alignments.items():
+        for map_id, places in self._maps.places.items():
             live = self._record.live[map_id]
-            self._stream.poses(entity, live.frames, alignment.poses(live.T_map_cam))
+            ends = [*(place.frame for place in places[1:]), len(self._record.results)]
+            for place, end in zip(places, ends, strict=True):
+                path = live.where((live.frames >= place.frame) & (live.frames < end))
+                self._stream.poses(entity, path.frames, place.S_world_map.poses(path.T_map_cam))
 
     def _draw_paths(self) -> None:
         """Draw the paths over time: live per map, recovered, and lost."""
         last = len(self._record.results) - 1
         step = max(1, round(_STEP_S * self._record.sequence.camera.fps))
         changes = {e.frame for e in self._record.events}
+        changes |= {f for recovery in self._paths.recoveries for f in range(recovery.start, recovery.end)}
         for frame in sorted({*range(0, last + 1, step), *changes, last}):
-            for map_id in self._scene.alignments:
-                if self._record.live[map_id].frames[0] <= frame:
+            for map_id in self._maps.places:
+                if self._maps.is_there(map_id, frame):
                     strips = self._paths.live_strips(map_id, frame)
                     self._line(f"map_{map_id}/path", frame, strips, palette.map_color(map_id), 1.5)
             self._line("recovered", frame, self._paths.recovered_strips(frame), palette.RECOVERED, 4.0)
@@ -142,24 +153,33 @@ class RunDrawing:
         self._stream.log(f"{self._world}/{name}", frame, line)
 
     def _draw_maps(self, snapshots: list[MapSnapshot]) -> None:
-        """Draw points and keyframes over time, each map in its colour."""
+        """Draw points and keyframes over time, each map in its colour; those that are no more go."""
         keyframes = np.array([r.frame for r in self._record.results if r.is_keyframe], int)
+        for map_id, places in self._maps.places.items():
+            entity = f"{self._world}/map_{map_id}"
+            for place in places:
+                self._stream.log(entity, place.frame, transform(place.S_world_map))
+            if map_id in self._maps.absorbed:
+                self._stream.log(f"{entity}/points", self._maps.absorbed[map_id], rr.Clear(recursive=False))
+            if map_id in self._maps.dropped:
+                self._stream.log(entity, self._maps.dropped[map_id], rr.Clear(recursive=True))
         for snapshot in snapshots:
             map_id, frame = snapshot.map_id, snapshot.frame
-            if map_id not in self._scene.alignments:
+            if not self._maps.is_there(map_id, frame):
                 continue
             color, entity = palette.map_color(map_id), f"{self._world}/map_{map_id}"
             live = self._record.live[map_id]
-            chosen = np.isin(live.frames[live.frames <= frame], keyframes)
-            centres = self._paths.live(map_id, frame)[chosen, :3, 3]
+            chosen = np.isin(live.frames, keyframes) & (live.frames <= frame)
+            centres = live.T_map_cam[chosen, :3, 3]
             dots = rr.Points3D(centres, colors=color, radii=rr.Radius.ui_points(1.5))
             self._stream.log(f"{entity}/keyframes", frame, dots)
-            points = self._scene.alignments[map_id].points(snapshot.points).astype(np.float32)
-            cloud = rr.Points3D(points, colors=[*color, 120], radii=rr.Radius.ui_points(1.2))
+            cloud = rr.Points3D(snapshot.points, colors=[*color, 120], radii=rr.Radius.ui_points(1.2))
             self._stream.log(f"{entity}/points", frame, cloud)
             if snapshot.window:
-                chosen = np.isin(live.frames[live.frames <= frame], snapshot.window)
-                self._draw_window(frame, self._paths.live(map_id, frame)[chosen, :3, 3])
+                chosen = np.isin(live.frames, snapshot.window) & (live.frames <= frame)
+                place = self._maps.at(map_id, frame)
+                assert place is not None  # it is there
+                self._draw_window(frame, place.S_world_map.points(live.T_map_cam[chosen, :3, 3]))
         if any(snapshot.window for snapshot in snapshots):
             for event in self._record.events:
                 if isinstance(event, Breakage):
@@ -171,16 +191,16 @@ class RunDrawing:
         self._stream.log(f"{self._world}/window", frame, dots)
 
     def _draw_marks(self) -> None:
-        """Draw breakages as labelled pins and repairs as dots."""
+        """Draw breakages and repairs as dots, and what they and the maps are as labels beside the path."""
         found = [(story, self._paths.position(story.frame)) for story in stories(self._record)]
         told = [(story, at) for story, at in found if at is not None]
-        needles = pins([at for _, at in told], self._scene.up, self._extent)
+        needles = self._needles([at for _, at in told])
         ends = {
             story.end: at
             for story, _ in told
             if story.end and story.is_repaired and (at := self._paths.position(story.end)) is not None
         }
-        for frame in sorted({story.frame for story, _ in told} | set(ends)):
+        for frame in sorted({story.frame for story, _ in told} | set(ends) | self._maps.changes()):
             known = [
                 (story, needle)
                 for (story, _), needle in zip(told, needles, strict=True)
@@ -189,8 +209,54 @@ class RunDrawing:
             self._dots("breakages", frame, [needle[0] for _, needle in known], palette.LOST, 6.0)
             self._dots("repairs", frame, [at for end, at in ends.items() if end <= frame], palette.FUSED, 6.0)
             self._line("marks/pins", frame, [needle for _, needle in known], palette.LOST, 1.0)
-            heads, labels = [needle[1] for _, needle in known], [story.text_at(frame) for story, _ in known]
+            heads, labels = [needle[1] for _, needle in known], [story.label_at(frame) for story, _ in known]
             self._dots("labels", frame, heads, palette.LOST, 1.0, labels)
+            self._label_maps(frame)
+
+    def _needles(self, feet: list[np.ndarray]) -> list[np.ndarray]:
+        return pins(feet, self._view.across, self._view.far, self._view.extent)
+
+    def _label_maps(self, frame: int) -> None:
+        """Name the maps that are in their own frames beside where they begin."""
+        told = [map_id for map_id in self._maps.places if self._maps.stands_alone(map_id, frame)]
+        told = [map_id for map_id in told if self._is_own(map_id, frame)]
+        dots = rr.Points3D(
+            [self._beside(map_id, frame) for map_id in told],
+            colors=[palette.map_color(map_id) for map_id in told],
+            labels=[f"map {map_id}: own scale" for map_id in told],
+            show_labels=True,
+            radii=rr.Radius.ui_points(1.0),
+        )
+        self._stream.log(f"{self._world}/marks/maps", frame, dots)
+
+    def _is_own(self, map_id: int, frame: int) -> bool:
+        place = self._maps.at(map_id, frame)
+        return place is not None and place.is_own
+
+    def _beside(self, map_id: int, frame: int) -> np.ndarray:
+        """Position of the label of a map at a frame."""
+        place = self._maps.at(map_id, frame)
+        assert place is not None  # it is there
+        first = place.S_world_map.points(self._record.live[map_id].T_map_cam[:1, :3, 3])[0]
+        return first - _LABEL_ASIDE * self._view.extent * self._view.across
+
+    def in_view(self) -> np.ndarray:
+        """(n, 3) positions in the world that are to be in view: paths wherever they are drawn, and labels.
+
+        A map in its own frame may be of any size: of it what is not further away than half the extent.
+        """
+        feet = [self._paths.position(story.frame) for story in stories(self._record)]
+        labels = [needle[1] for needle in self._needles([foot for foot in feet if foot is not None])]
+        truth, extent = self._record.sequence.T_world_cam, self._view.extent
+        paths = [np.empty((0, 3))] if truth is None else [truth[np.isfinite(truth).all(axis=(1, 2)), :3, 3]]
+        for map_id, places in self._maps.places.items():
+            for place in places:
+                path = place.S_world_map.points(self._record.live[map_id].T_map_cam[:, :3, 3])
+                near = np.linalg.norm(path - path[0], axis=1) < extent / 2
+                paths.append(path[near] if place.is_own else path)
+                labels += [self._beside(map_id, place.frame)] if place.is_own else []
+        half = LABEL_WIDTH / 2 * extent * self._view.along
+        return np.concatenate([*paths, *([label - half, label + half] for label in labels)])
 
     def _dots(
         self,
@@ -236,13 +302,13 @@ class RunDrawing:
         self._stream.columns(entity, frames, rr.Scalars.columns(scalars=values))
 
 
-def draw_lane(stream: Stream, under: str, lane: Lane, frames: int) -> None:
-    """Draw a lane of a run of some frames as a row of the timeline view.
+def draw_lane(stream: Stream, under: str, lane: Lane, frames: int, shown_frames: int) -> None:
+    """Draw a lane of a run of some frames as a row of the timeline view, which shows some of them at first.
 
     A value whose words do not fit into its time is drawn without them.
     """
     entity = f"{under}/{part(lane.name)}"
-    spans = lane.labelled(frames)
+    spans = lane.labelled(frames, shown_frames)
     styles = {
         shown(value, fits): (value if fits else " ", lane.colors[value]) for _, value, fits in spans if value
     }
@@ -251,6 +317,13 @@ def draw_lane(stream: Stream, under: str, lane: Lane, frames: int) -> None:
     stream.static(entity, rr.StateConfiguration(values=list(styles), labels=labels, colors=rgba))
     changes = rr.StateChange.columns(state=[shown(value, fits) for _, value, fits in spans])
     stream.columns(entity, [frame for frame, _, _ in spans], changes)
+
+
+def transform(S_world_map: Similarity) -> rr.Transform3D:
+    """Place of a map in the world for rerun."""
+    return rr.Transform3D(
+        translation=S_world_map.t_world_map, mat3x3=S_world_map.scale * S_world_map.R_world_map
+    )
 
 
 def shown(value: str, fits: bool) -> str:

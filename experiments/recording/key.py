@@ -6,8 +6,8 @@ import rerun.blueprint as rrb
 from dslab.experiments.recording.palette import Color
 from dslab.experiments.recording.stream import Stream
 
-COLUMNS = 4
-_ENTITY, _STEP = "key", (150.0, 34.0)
+COLUMNS = 5
+_ENTITY, _STEP = "key", (160.0, 28.0)
 
 
 def draw_key(stream: Stream, meanings: dict[str, Color]) -> rrb.Spatial2DView:

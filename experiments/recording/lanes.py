@@ -9,12 +9,10 @@ from dslab.experiments.recording import palette
 from dslab.experiments.recording.palette import Color
 from dslab.experiments.recording.stories import Story, stories
 from dslab.experiments.runs.execution import RunRecord
-from dslab.slam.core.events import CANCELLED, RecoveryEnd, RecoveryStart
+from dslab.slam.core.events import CANCELLED, MapCut, RecoveryEnd, RecoveryStart
 
 LETTERS = 72
 """Letters that fit into a lane on a screen of usual width."""
-MARK_SHARE = 0.16
-"""Length of a momentary event with a label, as a share of the run, so that the label fits."""
 
 
 @dataclass
@@ -22,7 +20,7 @@ class Lane:
     """One row of the timeline.
 
     Attributes:
-        name: words and figures; ``_`` stands for a space.
+        name: what it is about, never what will come; ``_`` stands for a space.
         changes: (frame, value) in order of frames; a value holds until the next, empty for none.
         colors: colour of every value.
     """
@@ -40,28 +38,42 @@ class Lane:
         if color is not None:
             self.colors[value] = color
 
-    def labelled(self, frames: int) -> list[tuple[int, str, bool]]:
-        """Changes as (frame, value, True if the value's words fit into its time), of a run of some frames."""
+    def mark(self, frame: int, value: str, color: Color) -> None:
+        """Add what happens in one frame."""
+        self.add(frame, value, color)
+        self.add(frame + 1, "")
+
+    def labelled(self, frames: int, shown: int) -> list[tuple[int, str, bool]]:
+        """Changes as (frame, value, True if the value's words fit into its time).
+
+        Args:
+            frames: number of frames of the run.
+            shown: number of frames over which the timeline extends.
+        """
         ends = [frame for frame, _ in self.changes[1:]] + [frames]
         return [
-            (frame, value, len(value) <= LETTERS * (end - frame) / frames)
+            (frame, value, len(value) <= LETTERS * (end - frame) / shown)
             for (frame, value), end in zip(self.changes, ends, strict=True)
         ]
 
 
 def system_lanes(record: RunRecord) -> list[Lane]:
-    """Lanes of each breakage, of silent losses, of each recovery thread, and of the state."""
-    broken = [_breakage(record, story) for story in stories(record)]
-    return [*broken, *_silent(record), *_recoveries(record), _states(record)]
+    """Lanes of breakages and of repairs, of silent losses, of each recovery thread, and of the state."""
+    lanes = [*_breakages(record), *_silent(record), *_recoveries(record), _states(record)]
+    for lane in lanes:
+        while lane.changes and lane.changes[-1][0] >= len(record.results):
+            lane.changes.pop()
+    return lanes
 
 
 def segment_lanes(record: RunRecord) -> list[Lane]:
-    """One lane per injected segment that acts on a frame, by the time of its start."""
+    """One lane per injected segment that acts on a frame, by its kind; those of one kind are numbered."""
+    acting = [segment for segment in record.sequence.segments if segment.first_frame >= 0]
+    kinds = [segment.kind for segment in acting]
     lanes = []
-    for segment in record.sequence.segments:
-        if segment.first_frame < 0:
-            continue
-        lane = Lane(f"{segment.start_s:.2f}_to_{segment.end_s:.2f}_s_{segment.kind}")
+    for place, segment in enumerate(acting):
+        number = f"_{kinds[: place + 1].count(segment.kind)}" if kinds.count(segment.kind) > 1 else ""
+        lane = Lane(segment.kind + number)
         lane.add(0, "")
         for first, last in segment.runs or ((segment.first_frame, segment.last_frame),):
             lane.add(first, segment.kind.replace("_", " "), palette.INJECTED)
@@ -83,13 +95,20 @@ def _states(record: RunRecord) -> Lane:
     return lane
 
 
-def _breakage(record: RunRecord, story: Story) -> Lane:
-    """Lane of a breakage: broken, then how it was repaired."""
-    lane = Lane(story.text.replace(",", "").replace(" ", "_"))
-    lane.add(story.frame, "broken", palette.LOST)
-    if story.end is not None:
-        _mark(lane, record, story.end, story.how, palette.FUSED if story.is_repaired else palette.REFUSED)
-    return lane
+def _breakages(record: RunRecord) -> list[Lane]:
+    """Lanes of the moments of breakages and cuts, and of those at which something became of them."""
+    broken, mended = Lane("breakages"), Lane("repairs")
+    begun = {story.frame: ("broken", palette.LOST) for story in stories(record)}
+    begun |= {e.frame: ("cut", palette.NOTE) for e in record.events if isinstance(e, MapCut)}
+    ends: dict[int, Story] = {}
+    for story in stories(record):
+        if story.end is not None:
+            ends.setdefault(story.end, story)
+    for frame, (value, color) in sorted(begun.items()):
+        broken.mark(frame, value, color)
+    for frame, story in sorted(ends.items()):
+        mended.mark(frame, story.how, palette.FUSED if story.is_repaired else palette.REFUSED)
+    return [lane for lane in (broken, mended) if lane.changes]
 
 
 def _silent(record: RunRecord) -> list[Lane]:
@@ -104,7 +123,7 @@ def _silent(record: RunRecord) -> list[Lane]:
 
 
 def _recoveries(record: RunRecord) -> list[Lane]:
-    """One lane per recovery thread: at work, then its outcome as a mark."""
+    """One lane per recovery thread: at work as long as it is, then its outcome as a mark."""
     lanes: dict[int, Lane] = {}
     for event in record.events:
         if isinstance(event, RecoveryStart | RecoveryEnd):
@@ -112,17 +131,9 @@ def _recoveries(record: RunRecord) -> list[Lane]:
             if isinstance(event, RecoveryStart):
                 lane.add(event.frame, f"{event.method} at work", palette.RECOVERY)
             elif event.success:
-                _mark(lane, record, event.frame, "succeeded", palette.FUSED)
+                lane.mark(event.frame, "succeeded", palette.FUSED)
             elif event.stage == CANCELLED:
-                _mark(lane, record, event.frame, "cancelled", palette.NOTE)
+                lane.mark(event.frame, "cancelled", palette.NOTE)
             else:
-                _mark(lane, record, event.frame, "failed", palette.REFUSED)
+                lane.mark(event.frame, "failed", palette.REFUSED)
     return [lanes[thread] for thread in sorted(lanes)]
-
-
-def _mark(lane: Lane, record: RunRecord, frame: int, value: str, color: Color) -> None:
-    """Add a momentary event, drawn over a share of the run."""
-    end = frame + max(1, round(MARK_SHARE * len(record.results)))
-    lane.add(frame, value, color)
-    if end < len(record.results):
-        lane.add(end, "")

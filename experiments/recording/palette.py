@@ -41,7 +41,8 @@ _SYSTEMS: tuple[Color, ...] = ((217, 98, 43), (31, 160, 255), (120, 220, 120), (
 
 KEY: dict[str, Color] = {
     "true path": TRUTH,
-    "estimated path": _MAPS[0],
+    "map 0, aligned to truth": _MAPS[0],
+    "map 1, dashed: not joined": _MAPS[1],
     "placed by recovery": RECOVERED,
     "lost, no pose": LOST,
     "tracked, repaired": TRACKED,

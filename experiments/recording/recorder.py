@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import rerun as rr
 
-from dslab.experiments.evaluation.scene import lay_out, together
+from dslab.experiments.evaluation.scene import lay_out
 from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.recording import palette
-from dslab.experiments.recording.blueprint import make_blueprint
+from dslab.experiments.recording.blueprint import make_blueprint, opening_s, world_aspect
 from dslab.experiments.recording.drawing import (
     INJECTED,
     SYSTEMS,
@@ -24,6 +24,7 @@ from dslab.experiments.recording.key import draw_key
 from dslab.experiments.recording.lanes import segment_lanes, system_lanes
 from dslab.experiments.recording.paths import thin
 from dslab.experiments.recording.stream import Stream, part
+from dslab.experiments.recording.viewpoint import viewpoint
 from dslab.experiments.runs.execution import RunRecord, SlamSystem
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.results import PhotometricView, TrackingResult
@@ -40,8 +41,8 @@ class Recording:
     """Writer of runs over one sequence to one .rrd file.
 
     Frames are written as they come; what needs the truth or the whole run is written at the end. The systems
-    run one after the other, each observed by the result of :meth:`watch`; then call :meth:`finish`. Estimates
-    are aligned with the world per map by :func:`experiments.evaluation.scene.lay_out`, for display only.
+    run one after the other, each observed by the result of :meth:`watch`; then call :meth:`finish`. Maps are
+    placed by :class:`experiments.recording.placement.Placements`, for display only.
 
     Images are written once for all systems, at most ``IMAGES_PER_S`` per second, as JPEG: a minute of
     640 x 480 at 30 fps with two systems stays under 60 MB.
@@ -82,25 +83,30 @@ class Recording:
         Args:
             records: the runs, one per observed system.
         """
-        scenes = [lay_out(record) for record in records]
-        scene = together(scenes)
-        draw_truth(self._stream, self._sequence, scene, self._shrink)
+        view = viewpoint([lay_out(record) for record in records])
+        draw_truth(self._stream, records[0].sequence, view, self._shrink)
+        in_view = []
         for place, record in enumerate(records):
             watcher = self._watchers[record.system_kind]
-            drawing = RunDrawing(self._stream, record, scenes[place], scene.extent, self._shrink)
+            drawing = RunDrawing(self._stream, record, view, self._shrink)
             drawing.draw(watcher.snapshots, watcher.residuals, palette.system_color(place))
+            in_view.append(drawing.in_view())
         residuals = {system: watcher.residuals for system, watcher in self._watchers.items()}
         key = draw_key(self._stream, palette.KEY | (palette.DIRECT_KEY if any(residuals.values()) else {}))
         lanes = self._draw_lanes(records)
-        self._stream.blueprint(make_blueprint(records, scene, self._shrink, lanes, residuals, key))
+        eye = view.eye(np.concatenate(in_view), world_aspect(len(records)))
+        self._stream.blueprint(make_blueprint(records, view, eye, self._shrink, lanes, residuals, key))
 
     def _draw_lanes(self, records: Many[RunRecord]) -> int:
         """Draw the lanes of segments and systems; returns their number."""
-        lanes = [(INJECTED, lane) for lane in segment_lanes(records[0])]
+        lanes = [(INJECTED, lane, len(records[0].results)) for lane in segment_lanes(records[0])]
         for record in records:
-            lanes += [(f"{SYSTEMS}/{part(record.system_kind)}", lane) for lane in system_lanes(record)]
-        for under, lane in lanes:
-            draw_lane(self._stream, under, lane, len(records[0].results))
+            under, frames = f"{SYSTEMS}/{part(record.system_kind)}", len(record.results)
+            lanes += [(under, lane, frames) for lane in system_lanes(record)]
+        start_s, end_s = opening_s(records)
+        shown = round((end_s - start_s) * self._sequence.camera.fps) + 1
+        for under, lane, frames in lanes:
+            draw_lane(self._stream, under, lane, frames, shown)
         return len(lanes)
 
     def show_image(self, frame: int, image: np.ndarray) -> None:
@@ -152,7 +158,7 @@ class SystemRecorder:
         self.residuals: dict[int, float] = {}
         self._recording = recording
         self._system = system
-        self._next_snapshot_s = -np.inf
+        self._next_snapshot_s, self._map_id = -np.inf, -1
         self._state = ""
         self._window: tuple[int, ...] = ()
 
@@ -166,8 +172,9 @@ class SystemRecorder:
                 self._show_residuals(result.frame, system.photometric_view(image) or PhotometricView.none())
             else:
                 self._recording.show_features(self._system, result)
-        if is_tracked(result) and result.stamp_s >= self._next_snapshot_s and result.map_id in system.maps():
-            self._next_snapshot_s = result.stamp_s + _SNAPSHOT_S
+        is_due = result.stamp_s >= self._next_snapshot_s or result.map_id != self._map_id
+        if is_tracked(result) and is_due and result.map_id in system.maps():
+            self._map_id, self._next_snapshot_s = result.map_id, result.stamp_s + _SNAPSHOT_S
             points = thin(system.map_points(result.map_id), _MAX_POINTS).astype(np.float32)
             self.snapshots.append(MapSnapshot(result.frame, result.map_id, points, self._window))
 

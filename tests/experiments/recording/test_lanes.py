@@ -7,11 +7,11 @@ import numpy as np
 from slam_fakes import CAMERA, fake_factory, make_sequence
 
 from dslab.experiments.evaluation.frame_outcomes import FrameOutcome, frame_outcomes, known_from
-from dslab.experiments.evaluation.scene import lay_out
 from dslab.experiments.recording import palette
 from dslab.experiments.recording.describe import describe_event
 from dslab.experiments.recording.lanes import LETTERS, Lane, segment_lanes, system_lanes
 from dslab.experiments.recording.paths import RunPaths, pins, strips
+from dslab.experiments.recording.placement import Placements
 from dslab.experiments.recording.stories import stories
 from dslab.experiments.runs.execution import RunRecord, execute
 from dslab.slam.core import events as ev
@@ -78,13 +78,16 @@ def test_the_state_names_the_map_if_there_are_several():
     ]  # fmt: skip
 
 
-def test_the_lane_of_a_breakage_tells_when_it_broke_and_what_became_of_it():
+def test_breakages_and_repairs_are_moments_in_lanes_that_do_not_tell_what_will_come():
     repaired, base = run(), run("base")
-    # 48 of 300 frames for the words.
-    assert lane(repaired, "breakage_1_at_5.33_s_fused_at_6.00_s").changes == [
-        (BREAKS, "broken"), (NEW_MAP, "fused"), (228, ""),
-    ]  # fmt: skip
-    assert lane(base, "breakage_1_at_5.33_s_not_repaired").changes == [(BREAKS, "broken")]
+    assert lane(repaired, "breakages").changes == [(BREAKS, "broken"), (BREAKS + 1, "")]
+    assert lane(repaired, "repairs").changes == [(NEW_MAP, "fused"), (NEW_MAP + 1, "")]
+    assert lane(base, "breakages").changes == lane(repaired, "breakages").changes
+    assert "repairs" not in [x.name for x in system_lanes(base)]
+
+
+def test_a_cut_on_request_is_among_the_breakages():
+    assert lane(with_events(run("base"), ev.MapCut(**at(299))), "breakages").changes == [(299, "cut")]
 
 
 def test_a_map_that_is_dropped_or_passed_by_is_not_broken_to_the_end():
@@ -93,19 +96,17 @@ def test_a_map_that_is_dropped_or_passed_by_is_not_broken_to_the_end():
     dropped = ev.MapDropped(**at(200), reason="broke_before_recovery", keyframes=2)
     again = ev.ReinitDone(**(at(210) | {"map_id": 2}), frames_taken=10)
     known = with_events(record, *record.events, broke, dropped, again)
-    name = "breakage_2_at_6.67_s_map_dropped"
-    assert lane(known, name).changes == [(200, "broken"), (210, "map dropped"), (258, "")]
+    assert lane(known, "repairs").changes == [(210, "map dropped"), (211, "")]
     assert not stories(known)[1].is_repaired
     fused = replace(next(e for e in run().events if e.kind == "fusion"), frame=230, new_map_id=2)
     crossed = with_events(record, *known.events, fused)
-    assert lane(crossed, "breakage_2_at_6.67_s_bridged_at_7.67_s").changes[1] == (230, "bridged")
-    assert stories(crossed)[1].is_repaired
+    assert stories(crossed)[1].how == "bridged" and stories(crossed)[1].is_repaired
 
 
 def test_a_breakage_is_told_only_as_far_as_it_is_known():
     (story,) = stories(run())
-    assert story.text_at(NEW_MAP - 1) == "breakage 1 at 5.33 s"
-    assert story.text_at(NEW_MAP) == "breakage 1 at 5.33 s, fused at 6.00 s"
+    assert story.label_at(NEW_MAP - 1) == "breakage 1"
+    assert story.label_at(NEW_MAP) == "breakage 1: fused"
 
 
 def test_silent_losses_have_a_lane():
@@ -120,10 +121,10 @@ def test_words_that_do_not_fit_into_their_time_are_known():
     found = [
         (value, fits, end - frame)
         for x in system_lanes(run("base", relocalizes_after=5)) + segment_lanes(run())
-        for (frame, value, fits), (end, *_) in pairwise([*x.labelled(300), (300, "", True)])
+        for (frame, value, fits), (end, *_) in pairwise([*x.labelled(300, 150), (300, "", True)])
     ]
     assert {fits for _, fits, _ in found} == {True, False}
-    assert all(fits == (len(value) <= LETTERS * frames / 300) for value, fits, frames in found)
+    assert all(fits == (len(value) <= LETTERS * frames / 150) for value, fits, frames in found)
 
 
 def test_each_recovery_thread_has_a_lane_from_start_to_end():
@@ -131,12 +132,12 @@ def test_each_recovery_thread_has_a_lane_from_start_to_end():
         run(), start(170, 1), end(200, 1, False), start(200, 2), end(260, 2, True), start(290, 1)
     )
     assert lane(record, "recovery_thread_1").changes == [
-        (170, "orb at work"), (200, "failed"), (248, ""), (290, "orb at work"),
+        (170, "orb at work"), (200, "failed"), (201, ""), (290, "orb at work"),
     ]  # fmt: skip
-    assert lane(record, "recovery_thread_2").changes == [(200, "orb at work"), (260, "succeeded")]
+    assert lane(record, "recovery_thread_2").changes == [
+        (200, "orb at work"), (260, "succeeded"), (261, ""),
+    ]  # fmt: skip
     assert not [x for x in system_lanes(run("base")) if x.name.startswith("recovery")]
-    early = with_events(run(), start(170, 1), end(200, 1, False), start(210, 1))
-    assert lane(early, "recovery_thread_1").changes[1:] == [(200, "failed"), (210, "orb at work")]
 
 
 def test_a_recovery_that_was_not_needed_any_more_has_not_failed():
@@ -150,7 +151,7 @@ def test_a_recovery_that_was_not_needed_any_more_has_not_failed():
 
 def test_a_recovery_within_one_frame_shows_its_outcome():
     record = with_events(run(), start(200, 1), end(200, 1, True))
-    assert lane(record, "recovery_thread_1").changes == [(200, "succeeded"), (248, "")]
+    assert lane(record, "recovery_thread_1").changes == [(200, "succeeded"), (201, "")]
 
 
 def test_frames_placed_by_initialization_are_not_recovered():
@@ -170,7 +171,7 @@ def test_frames_of_a_dropped_map_have_no_pose():
 def test_a_recovered_frame_is_known_from_the_fusion_onwards():
     record = recovered(run(), BREAKS, NEW_MAP - 1)
     assert known_from(record.events, 300)[[0, BREAKS, NEW_MAP, NEW_MAP + 1]].tolist() == [180, 180, 180, 300]
-    paths = RunPaths(record, lay_out(record))
+    paths = RunPaths(record, Placements(record, np.zeros(3)))
     assert paths.recovered_strips(NEW_MAP - 1) == [] and len(paths.lost_strips(NEW_MAP - 1)) == 1
     (green,) = paths.recovered_strips(NEW_MAP)
     assert 20 <= len(green) <= 21 and paths.lost_strips(NEW_MAP) == []
@@ -178,16 +179,20 @@ def test_a_recovered_frame_is_known_from_the_fusion_onwards():
 
 def test_positions_of_events_are_those_of_the_camera():
     record = run()
-    found = RunPaths(record, lay_out(record)).position(BREAKS)
+    found = RunPaths(record, Placements(record, np.zeros(3))).position(BREAKS)
     np.testing.assert_allclose(found, record.sequence.T_world_cam[BREAKS, :3, 3])
 
 
-def test_pins_close_to_each_other_differ_in_height():
-    up, feet = np.array([0.0, 0, 1]), [np.array([x, 0.0, 0]) for x in (0, 1, 2, 50, 51)]
-    found = pins(feet, up, 10.0)
+def test_labels_stand_beyond_the_path_and_those_close_to_each_other_apart():
+    across, feet = (
+        np.array([0.0, 1, 0]),
+        [np.array([x, y, 0.0]) for x, y in ((0, 5), (1, 0), (2, 3), (50, 9))],
+    )
+    found = pins(feet, across, 9.0, 10.0)
     np.testing.assert_allclose([pin[0] for pin in found], feet)
-    heights = [round(float(pin[1] @ up), 6) for pin in found]
-    assert len(set(heights[:3])) == 3 and heights[3:] == heights[:2] and min(heights) > 0
+    reach = [round(float(pin[1] @ across), 6) for pin in found]
+    assert len(set(reach[:3])) == 3 and reach[3] == min(reach) > 9.0
+    assert all(np.cross(pin[1] - pin[0], across).max() == 0 for pin in found)
 
 
 def test_every_segment_has_a_lane_even_if_two_of_a_kind_overlap():
@@ -199,9 +204,9 @@ def test_every_segment_has_a_lane_even_if_two_of_a_kind_overlap():
     none = replace(first, first_frame=-1, last_frame=-1)
     record = replace(record, sequence=replace(record.sequence, segments=(first, second, none)))
     assert [(x.name, x.changes) for x in segment_lanes(record)] == [
-        ("5.00_to_6.00_s_low_texture", [(0, ""), (150, "low texture"), (181, "")]),
+        ("low_texture_1", [(0, ""), (150, "low texture"), (181, "")]),
         (
-            "5.50_to_6.50_s_low_texture",
+            "low_texture_2",
             [(0, ""), (165, "low texture"), (171, ""), (299, "low texture")],
         ),
     ]
