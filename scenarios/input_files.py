@@ -27,6 +27,7 @@ ContentT = TypeVar("ContentT", dict, list)
 
 _MOST_DEPTH, _MOST_PARTS = 60, 1_000_000
 _WHOLE_BITS = 64
+_PART_BYTES = 2**20
 _KINDS = {
     stat.S_IFDIR: "a folder",
     stat.S_IFIFO: "a pipe",
@@ -93,7 +94,7 @@ def read_bytes(path: Path, most_bytes: int, if_missing: str = "check the path") 
     """The content of a file. Arguments and errors as ``open_file``."""
     with open_file(path, most_bytes, if_missing) as file:
         try:
-            content = file.read(most_bytes + 1) or b""
+            content = _read(file, most_bytes + 1)
         except OSError as error:
             raise _unreadable(path, error, if_missing) from None
     if len(content) > most_bytes:
@@ -149,6 +150,15 @@ def number_fault(value: Any) -> str:
     if isinstance(value, int) and value.bit_length() > _WHOLE_BITS:
         return f"is a whole number of more than {_WHOLE_BITS} bits"
     return ""
+
+
+def _read(file: BinaryIO, most_bytes: int) -> bytes:
+    """The first bytes of a file, in parts: Python takes the memory of all that is asked for at once."""
+    parts, left = [], most_bytes
+    while left and (part := file.read(min(left, _PART_BYTES))):
+        parts.append(part)
+        left -= len(part)
+    return b"".join(parts)
 
 
 def _check_regular(path: Path, status: os.stat_result, most_bytes: int | None) -> None:

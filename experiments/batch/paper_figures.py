@@ -34,7 +34,7 @@ from dslab.experiments.report.plots.style import (
     settings,
 )
 from dslab.experiments.result_folder import TRUTH_FILE
-from dslab.sim.io.folders import write_file
+from dslab.sim.io.folders import subfolder, write_file
 
 FIGURES_DIR = "figures"
 MOST_SEQUENCES = 6
@@ -59,8 +59,7 @@ def write_figures(rows: pd.DataFrame, folder: Path) -> list[Path]:
         "figure_8": (draw_overlays, (made, folder)),
         "figure_9": (draw_end_errors, (made,)),
     }
-    place, written = folder / FIGURES_DIR, []
-    place.mkdir(exist_ok=True)
+    place, written = subfolder(folder, FIGURES_DIR), []
     with settings():
         for name, (draw, arguments) in drawings.items():
             figure = draw(*arguments)

@@ -12,7 +12,7 @@ from dslab.experiments.batch.rows import ERROR
 from dslab.experiments.eq1.units import RECOVERING
 from dslab.experiments.report.paper_figures import TABLE_1, TABLE_1_FAILED
 from dslab.experiments.statistics.paper import TABLE_II, TABLE_III
-from dslab.sim.io.folders import write_file
+from dslab.sim.io.folders import subfolder, write_file
 
 TABLES_DIR = "tables"
 PUBLISHED = " (paper)"
@@ -119,8 +119,7 @@ def write_tables(rows: pd.DataFrame, folder: Path) -> dict[str, pd.DataFrame]:
     tables = (
         {"table_1": table_1(made), "table_2": table_2(made), "table_3": table_3(made)} if len(made) else {}
     )
-    place = folder / TABLES_DIR
-    place.mkdir(exist_ok=True)
+    place = subfolder(folder, TABLES_DIR)
     for name, table in tables.items():
         write_file(place / f"{name}.csv", lambda path, table=table: table.to_csv(path, index=False))
         text = latex(table)

@@ -3,9 +3,9 @@
 import glob
 import re
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from dslab.experiments.runs.execution import Mode, SystemFactory
 from dslab.experiments.runs.slam_settings import factory_of, parse_slam_settings
@@ -58,6 +58,12 @@ class BatchSpec(Strict):
         if double is not None:
             raise ValueError(f"{double} is named twice, name each once")
         return systems
+
+    @model_validator(mode="after")
+    def _all_have_seeds(self) -> Self:
+        if self.vary in ("seeds", "scenes") and self.seed + self.runs - 1 > _MOST_SEED:
+            raise ValueError(f"its last run has a seed beyond {_MOST_SEED}, give a smaller seed")
+        return self
 
     @property
     def segments(self) -> list[SegmentBase]:

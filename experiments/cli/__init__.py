@@ -6,6 +6,7 @@ import sys
 import warnings
 from typing import Any
 
+from dslab.experiments.cli.machine import check_folder, keep_from_others, refused
 from dslab.experiments.cli.signals import signals_as_interrupts
 from dslab.experiments.cli.streams import safe_streams
 from dslab.scenarios.errors import InputError, InputNotice
@@ -21,6 +22,8 @@ def main() -> None:
     with safe_streams(), signals_as_interrupts() as received:
         warnings.showwarning = _show_warning
         try:
+            keep_from_others()
+            check_folder()
             _check_environment()
             # Imported here, so that a signal meanwhile is heeded too.
             from dslab.experiments.cli.commands import run_app
@@ -38,10 +41,11 @@ def main() -> None:
                 how = "interrupted" if number == signal.SIGINT else f"ended by {number.name}"
                 _say(f"{how}: nothing half-written is left")
                 sys.exit(128 + number)
-            if isinstance(ending, InputError):
-                _say(f"error: {ending}")
-                sys.exit(ending.exit_code)
-            raise
+            fault = ending if isinstance(ending, InputError) else refused(ending)
+            if fault is None:
+                raise
+            _say(f"error: {fault}")
+            sys.exit(fault.exit_code)
 
 
 def _check_environment() -> None:

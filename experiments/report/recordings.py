@@ -11,7 +11,7 @@ from dslab.experiments.runs.execution import RunRecord
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given
 from dslab.sim.cache import CorruptEntryError
-from dslab.sim.io.folders import write_file
+from dslab.sim.io.folders import subfolder, write_file
 from dslab.sim.io.raw import stored_archive
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def add_recordings(
     The failures of the report get the paths of their recordings, relative to the experiment's folder.
     """
     chosen = report["failures"][:count]
-    (folder / FOLDER).mkdir(exist_ok=True)
+    subfolder(folder, FOLDER)
     for done, failure in enumerate(chosen):
         progress(done, len(chosen))
         failure["recording"] = f"{FOLDER}/{failure['unit_id']}.rrd"

@@ -21,7 +21,12 @@ Progress = Callable[[str, int, int], None]
 """Called with the name of the step, frames done and frames in all."""
 
 _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-_FULL = {errno.ENOSPC, errno.EDQUOT}
+_AGAIN = "and run the same command again"
+_FULL = {
+    errno.ENOSPC: ("the disk is full", f"free some space {_AGAIN}"),
+    errno.EDQUOT: ("the disk is full", f"free some space {_AGAIN}"),
+    errno.EFBIG: ("a file would be larger than the limit of this shell", f"raise `ulimit -f` {_AGAIN}"),
+}
 _TAKEN = {errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR}
 _SHORT, _LONG_BYTES = 48, 240
 
@@ -108,9 +113,25 @@ def write_file(path: Path, write: Callable[[Path], Any]) -> None:
 def unwritable(path: Path, error: OSError) -> InputError:
     """The error to raise if a file or folder cannot be written."""
     if error.errno in _FULL:
-        return InputError(str(path), "the disk is full", "free some space and run the same command again")
+        return InputError(str(path), *_FULL[error.errno])
     problem = f"cannot be written ({error.strerror or error})"
     return InputError(str(path), problem, "make it writable or choose another folder")
+
+
+def subfolder(folder: Path, name: str) -> Path:
+    """A folder in an existing one, made unless it is there.
+
+    Raises:
+        InputError: a file has its name, or it cannot be made.
+    """
+    place = folder / name
+    try:
+        place.mkdir(exist_ok=True)
+    except FileExistsError:
+        raise InputError(str(place), "is a file where a folder belongs", "move it away") from None
+    except OSError as error:
+        raise unwritable(place, error) from error
+    return place
 
 
 def write_images(images: FrameSource, paths: list[Path], step: str, progress: Progress | None = None) -> None:

@@ -3,12 +3,14 @@
 import os
 import socket
 import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import (
+    IMAGE_BYTES,
     file_names,
     is_folder,
     is_given,
@@ -134,3 +136,13 @@ def test_sound_json_is_read_as_json_is(tmp_path):
     )
     expected = [{"a": '[[[["{{{', "b": [1, -2.5, 1000.0, None, True], "c": {}}, 2**64 - 1]
     assert read_json(tmp_path / "file", list) == expected
+
+
+def test_a_small_file_takes_little_memory_whatever_its_most(tmp_path):
+    (tmp_path / "x").write_bytes(b"abc")
+    tracemalloc.start()
+    try:
+        assert read_bytes(tmp_path / "x", IMAGE_BYTES) == b"abc"
+        assert tracemalloc.get_traced_memory()[1] < 10e6
+    finally:
+        tracemalloc.stop()

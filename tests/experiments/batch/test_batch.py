@@ -346,6 +346,7 @@ def test_runs_that_could_not_be_made_are_said_after_the_table(
         ("sequences: [clean-room, clean-room]", "clean-room is named twice"),
         ("systems: [bse]", "there is no system 'bse'; give base (did you mean that?)"),
         ("systems: [base, base]", "base is named twice"),
+        (f"runs: 2\nseed: {2**63 - 1}", f"its last run has a seed beyond {2**63 - 1}; give a smaller"),
         ("runs: 0", "batch.yaml:3: runs: 0 is not valid"),
         ("stress: ['fog:start_s=1']", "batch.yaml:4: stress[0]: "),
         ("stress: ['darkness:start_s=1']", "unknown kind 'darkness'"),

@@ -1,6 +1,7 @@
 """Batches in the layout of the paper's tables: known trials, signs, totals, the paper's figures beside."""
 
 import pandas as pd
+import pytest
 
 from dslab.experiments.batch.paper_tables import (
     NO_MAP,
@@ -11,6 +12,7 @@ from dslab.experiments.batch.paper_tables import (
     table_3,
     write_tables,
 )
+from dslab.scenarios.errors import InputError
 
 
 def trial(source, system, ate_m, intact, needed=0, first=0, later=0, took_s=None):
@@ -77,3 +79,9 @@ def test_tables_are_written_as_csv_and_latex(tmp_path):
 def test_a_name_is_no_command_of_latex():
     text = latex(pd.DataFrame({"a": [r"x & 50% #1 $_{y}^2$ ~\z"]}))
     assert r"x \& 50\% \#1 \$\_\{y\}\textasciicircum{}2\$ \textasciitilde{}\textbackslash{}z \\" "\n" in text
+
+
+def test_a_file_where_the_folder_of_the_tables_belongs_is_one_line(tmp_path):
+    (tmp_path / "tables").touch()
+    with pytest.raises(InputError, match="tables: is a file where a folder belongs; move it away"):
+        write_tables(rows(), tmp_path)

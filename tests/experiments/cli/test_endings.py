@@ -4,6 +4,7 @@ import ctypes
 import errno
 import io
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from dslab.experiments.cli import console
 from dslab.experiments.cli.signals import signals_as_interrupts
 from dslab.experiments.cli.streams import safe_streams
 from dslab.experiments.runs import slam_settings, sources
+from dslab.sim.io.tum import write_tum
 
 HOSTILE = "a[/b] :smile: [red]\udcff{x}"
 
@@ -171,3 +173,58 @@ def test_a_table_parses_no_markup(capsys):
     with safe_streams():
         console.out.print(table)
     assert capsys.readouterr().out.count("[/b]") == 2
+
+
+_DSLAB = "from dslab.experiments.cli import main; main()"
+
+
+def _limited(limit: str, value: str, words: list, tmp_path) -> subprocess.CompletedProcess:
+    """A command in a shell with a limit, or one that has lost its folder."""
+    program = f"{limit} {value}; exec {shlex.join([sys.executable, '-c', _DSLAB, *map(str, words)])}"
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    environment = {**os.environ, "DSLAB_CACHE_DIR": str(tmp_path / "cache")}
+    return subprocess.run(
+        ["sh", "-c", program],
+        cwd=gone,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("limit", "value", "says"),
+    [
+        ("ulimit -f", "8", "a file would be larger than the limit of this shell; raise `ulimit -f`"),
+        ("ulimit -v", "600000", "this machine: has no memory left; raise `ulimit -v`"),
+        ("rmdir", "../gone", "the present folder: cannot be used (No such file or directory); change to one"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_line(tmp_path, limit, value, says):
+    write_tum(make_sequence(10, segment=None), tmp_path / "drive")
+    ended = _limited(limit, value, ["run", tmp_path / "drive", "--out", tmp_path / "o"], tmp_path)
+    assert ended.returncode in (1, 2) and ended.stderr.count("\n") == 1 and says in ended.stderr
+    assert not (tmp_path / "o").exists()
+
+
+def test_memory_that_is_not_there_is_one_line(dslab, monkeypatch, source, tmp_path):
+    monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: bytearray(2**60))
+    code, _, err = dslab("run", "x", "--out", tmp_path / "o")
+    assert (code, err.splitlines()) == (
+        1, ["error: this machine: has no memory left; raise `ulimit -v`, or take fewer or smaller frames"],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o000, 0o755), (0o002, 0o775), (0o077, 0o700)])
+def test_without_a_mask_nobody_else_may_write_what_is_made(dslab, source, tmp_path, mask, mode):
+    before = os.umask(mask)
+    try:
+        assert dslab("run", "x", "--out", tmp_path / "o")[0] == 0
+    finally:
+        os.umask(before)
+    assert (tmp_path / "o").stat().st_mode & 0o777 == mode
+    assert {path.stat().st_mode & 0o777 for path in (tmp_path / "o").iterdir()} == {mode & 0o666}
