@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from dslab.experiments.kernel_cache import choose_kernel_cache
 
 if TYPE_CHECKING:
-    from dslab.experiments.api import Run, compare, run, run_experiment
+    from dslab.experiments.api import Run, compare, run, run_experiment, run_many
     from dslab.experiments.campaign.folder import read_experiment
     from dslab.experiments.eq1.spec import ExperimentSpec
     from dslab.experiments.eq1.spec import load_spec as load_experiment
@@ -31,6 +31,7 @@ _HOMES = {
     "read_experiment": "dslab.experiments.campaign.folder",
     "run": "dslab.experiments.api",
     "run_experiment": "dslab.experiments.api",
+    "run_many": "dslab.experiments.api",
     "write_report": "dslab.experiments.report.write",
 }
 
@@ -45,6 +46,7 @@ __all__ = [
     "read_experiment",
     "run",
     "run_experiment",
+    "run_many",
     "write_report",
 ]
 

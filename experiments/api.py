@@ -1,7 +1,7 @@
 """The Python interface: a sequence through a system, several of them in a table, an experiment."""
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,9 +11,11 @@ import pandas as pd
 
 from dslab.experiments.kernels import compile_kernels
 from dslab.experiments.plugins import load_plugins
+from dslab.experiments.runs.defaults import MODE, SYSTEM
 from dslab.experiments.runs.execution import Mode, RunRecord, SystemFactory, system_factory
 from dslab.experiments.runs.systems.registry import OwnSystem, Registry
 from dslab.experiments.runs.systems.run import run_system
+from dslab.scenarios.errors import InputError
 from dslab.scenarios.spec import Scenario
 from dslab.sim.sequence import Sequence
 from dslab.slam.config import SlamConfig
@@ -97,15 +99,17 @@ class Run:
 
 def run(
     sequence: Sequence | Scenario | str | Path,
-    system: str | SystemFactory = "dual",
+    system: str | SystemFactory = SYSTEM,
     *,
     seed: int | None = None,
     config: SlamConfig | None = None,
     dual: DualConfig | None = None,
-    mode: Mode = "lockstep",
+    mode: Mode = MODE,
     progress: Callable[[int, int], None] | None = None,
 ) -> Run:
     """Run a system over a sequence: image, time and intrinsics in, nothing else.
+
+    Defaults are those of ``dslab run``.
 
     Args:
         sequence: a sequence, a scenario to render, or what names one: a folder, a scenario's name or file.
@@ -121,22 +125,92 @@ def run(
     Raises:
         InputError: the system is unknown, or the sequence is not valid.
     """
-    from dslab.experiments.runs.sources import open_sequence
-    from dslab.sim.sequence_rendering import render_sequence
-
     load_plugins()
     compile_kernels()
     plugin = Registry.open().find(system) if isinstance(system, str) and system not in SYSTEMS else None
-    if isinstance(sequence, Scenario):
-        sequence = render_sequence(sequence)
-    elif not isinstance(sequence, Sequence):
-        sequence = open_sequence(str(sequence), seed)
+    sequence = sequence if isinstance(sequence, Sequence) else _opened(sequence, seed)
     seed = int(sequence.meta.get("seed", 0)) if seed is None else seed
     if plugin is not None:
         return Run(run_system(plugin, sequence, seed, progress=progress))
     build = system_factory(mode, dual, config) if isinstance(system, str) else system
     name = system if isinstance(system, str) else getattr(system, "__name__", "own")
     return Run(run_system(OwnSystem(name), sequence, seed, build, progress=progress))
+
+
+def run_many(
+    runs: Iterable[Mapping[str, Any]],
+    *,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Run]:
+    """Run many runs side by side, each as ``run`` would; their figures are computed there too.
+
+    Args:
+        runs: the arguments of each by name, such as ``{"sequence": "breakage", "seed": 3}``. They go to
+            another process: a sequence is named, or a scenario; a system is named.
+        workers: processes; the runs are the same for any number. They start anew, so a script needs
+            ``if __name__ == "__main__":`` and its extensions must be plugins.
+        progress: called with (runs done, runs in all).
+
+    Returns:
+        The runs in the order given. Their frames are opened again where they are asked for.
+
+    Raises:
+        InputError: as ``run``, or a sequence is given as frames in memory; the other runs are lost.
+        MachineError: a process has died.
+    """
+    from dslab.experiments.jobs.pool import run_each
+
+    given = [dict(one) for one in runs]
+    for index, one in enumerate(given):
+        if isinstance(one.get("sequence"), Sequence):
+            problem = "its sequence is frames in memory, which other processes do not share"
+            raise InputError(f"runs[{index}]", problem, "name its folder or scenario, or give the scenario")
+    compile_kernels()
+    done: dict[int, Run] = {}
+    for (index, _), finished in run_each(_run_one, list(enumerate(given)), workers):
+        done[index] = finished
+        if progress is not None:
+            progress(len(done), len(given))
+    return [done[index] for index in range(len(given))]
+
+
+def _run_one(item: tuple[int, dict[str, Any]]) -> Run:
+    """A run without its frames, but with all that is made of it."""
+    arguments = item[1]
+    finished = run(**arguments)
+    kept = finished.sequence
+    frames = _Reopened(arguments["sequence"], arguments.get("seed"), kept.stamps_s)
+    light = Run(replace(finished.record, sequence=replace(kept, frames=frames, depths=None)))
+    light.__dict__["metrics"] = finished.metrics
+    return light
+
+
+@dataclass(frozen=True)
+class _Reopened:
+    """The frames of some stamps, from the sequence that is opened when the first is asked for."""
+
+    source: Scenario | str | Path
+    seed: int | None
+    stamps_s: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.stamps_s)
+
+    def __getitem__(self, index: int) -> np.ndarray:
+        at = np.searchsorted(self._whole.stamps_s, self.stamps_s[index])
+        return self._whole.frames[int(at)]
+
+    @cached_property
+    def _whole(self) -> Sequence:
+        return _opened(self.source, self.seed)
+
+
+def _opened(sequence: Scenario | str | Path, seed: int | None) -> Sequence:
+    from dslab.experiments.runs.sources import open_sequence
+    from dslab.sim.sequence_rendering import render_sequence
+
+    return render_sequence(sequence) if isinstance(sequence, Scenario) else open_sequence(str(sequence), seed)
 
 
 def compare(runs: Iterable[Run]) -> pd.DataFrame:

@@ -65,6 +65,7 @@ def test_the_small_experiment_is_run_and_reported(here, capsys):
 @pytest.mark.parametrize(
     ("name", "said"),
     [
+        ("many_seeds", "small/room"),
         ("own_images", "frames have a pose"),
         ("own_degradation", "50% dead: "),
         ("own_recovery_thread", "patient_orb: "),

@@ -26,6 +26,7 @@ from dslab.experiments.cli.console import (
     progress_bars,
     single_threaded_opencv,
 )
+from dslab.experiments.runs.defaults import MODE, SYSTEM
 from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def run_command(
             "paper+: these near the paper's text; dso: direct sparse odometry; ldso: that with loops; those "
             "of dslab systems list; a class of your own, as module:Class; or several, such as base,dual.",
         ),
-    ] = "base",
+    ] = SYSTEM,
     systems_dir: SystemsOption = None,
     config: Annotated[
         Path | None,
@@ -70,7 +71,7 @@ def run_command(
     camera: CameraOption = None,
     truth: TruthOption = None,
     truth_form: TruthFormOption = "tum",
-    mode: ModeOption = "lockstep",
+    mode: ModeOption = MODE,
     real_time: RealTimeOption = False,
     maps: Annotated[
         bool, typer.Option("--map", help="Write the map too, as a COLMAP model with points.ply.")

@@ -1,5 +1,6 @@
 """The Python interface: one function per task, and imports that cost nothing."""
 
+import inspect
 import subprocess
 import sys
 
@@ -8,6 +9,9 @@ import pytest
 from slam_fakes import fake_factory, make_sequence
 
 from dslab import experiments, scenarios, sim, slam
+from dslab.experiments.cli.run import run_command
+from dslab.experiments.runs.execution import system_factory
+from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
 from dslab.scenarios.errors import InputError
 
 
@@ -63,3 +67,35 @@ def test_runs_are_compared_in_a_table(run, sequence):
 def test_an_unknown_system_is_bad_input(sequence):
     with pytest.raises(InputError, match="one of base, dual"):
         experiments.run(sequence, "dualslam")
+
+
+def test_python_and_the_command_line_have_the_same_defaults():
+    python, command = (inspect.signature(of).parameters for of in (experiments.run, run_command))
+    for name in ("system", "mode", "seed"):
+        assert python[name].default == command[name].default, name
+    camera = slam.PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
+    for system in ("base", "dual"):
+        made = [build(system, camera, 0).settings for build in (system_factory(), factory_of(SlamSettings()))]
+        assert made[0] == made[1]
+
+
+@pytest.mark.slow
+def test_many_runs_are_those_that_come_one_by_one(tmp_path):
+    scenario = scenarios.Scenario.model_validate(
+        scenarios.load("small/room", seed=4).model_dump() | {"duration_s": 3.0}
+    )
+    arguments = [{"sequence": scenario, "system": system, "seed": 2} for system in ("dual", "base")]
+    told = []
+    many = experiments.run_many(arguments, workers=2, progress=lambda *done: told.append(done))
+    assert [one.system for one in many] == ["dual", "base"] and told == [(1, 2), (2, 2)]
+    alone = experiments.run(scenario, "base", seed=2)
+    assert alone.trajectory is not None and many[1].trajectory is not None
+    np.testing.assert_array_equal(many[1].trajectory.T_map_cam, alone.trajectory.T_map_cam)
+    assert many[1].metrics["ate_m"] == alone.metrics["ate_m"]
+    np.testing.assert_array_equal(many[1].sequence.frames[40], alone.sequence.frames[40])
+    many[0].plot(tmp_path / "run.png")
+
+
+def test_many_runs_take_no_frames_in_memory(sequence):
+    with pytest.raises(InputError, match=r"runs\[1\]: its sequence is frames in memory"):
+        experiments.run_many([{"sequence": "small/room"}, {"sequence": sequence}])
