@@ -17,6 +17,7 @@ from dslab.experiments.cli.evo import evo_command
 from dslab.experiments.cli.export import export_command
 from dslab.experiments.cli.footage import footage_command
 from dslab.experiments.cli.paper import paper_command
+from dslab.experiments.cli.picture import picture_command
 from dslab.experiments.cli.run import run_command
 from dslab.experiments.cli.scenarios import app as scenarios_app
 from dslab.experiments.cli.view import view_command
@@ -49,6 +50,7 @@ app.command("compare")(compare_command)
 app.command("evo")(evo_command)
 app.command("footage")(footage_command)
 app.command("view")(view_command)
+app.command("picture")(picture_command)
 app.add_typer(experiment.app, name="experiment")
 app.command("paper")(paper_command)
 app.add_typer(bench.app, name="bench")

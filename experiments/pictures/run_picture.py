@@ -40,7 +40,7 @@ def runs_figure(records: Mapping[str, RunRecord]) -> Figure:
     """
     sequence = next(iter(records.values())).sequence
     colors = palette.segment_colors(segment.kind for segment in sequence.segments)
-    runs = [_drawn(name, record, place) for place, (name, record) in enumerate(records.items())]
+    runs = [drawn_run(name, record, place) for place, (name, record) in enumerate(records.items())]
     figure = Figure(figsize=(13, 8.6 + 0.25 * len(runs)), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
     rows = figure.add_gridspec(4, 1, height_ratios=[1.35, 3.4, 1.5, 0.25 + 0.25 * len(runs)])
@@ -54,11 +54,12 @@ def runs_figure(records: Mapping[str, RunRecord]) -> Figure:
     inliers = figure.add_subplot(rows[2])
     draw_inliers(inliers, runs, colors)
     draw_lanes(figure.add_subplot(rows[3], sharex=inliers), runs, colors)
-    _draw_legend(figure, [run.name for run in runs], colors)
+    legend_of(figure, [run.name for run in runs], colors)
     return figure
 
 
-def _drawn(name: str, record: RunRecord, place: int) -> DrawnRun:
+def drawn_run(name: str, record: RunRecord, place: int) -> DrawnRun:
+    """A run with what its picture shows; ``place`` is its place in the order of display."""
     sequence = record.sequence
     outcomes = breakage_outcomes(record.events, sequence.segments, list(sequence.stamps_s))
     frames = frame_outcomes(record)
@@ -88,7 +89,7 @@ def _draw_frame(axes: Axes, sequence: Sequence, frame: int, colors: dict[str, st
             spine.set(color=colors[kinds[-1]], linewidth=3)
 
 
-def _draw_legend(figure: Figure, systems: list[str], colors: dict[str, str]) -> None:
+def legend_of(figure: Figure, systems: list[str], colors: dict[str, str]) -> None:
     """Draw one legend for all axes below them: truth, systems, other paths and marks, segments."""
     found = {}
     for axes in figure.axes:

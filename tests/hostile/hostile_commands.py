@@ -16,6 +16,7 @@ ARGUMENTS = {
     "systems check": "base --source {in}/nothing",
     "systems install": "dual",
     "view": "{in}/result",
+    "picture": "{in}/result --out {out}.png",
     "paper": "--out {in}/result",
     "scenarios show": "{in}/scenario/scenario.yaml",
     "scenarios validate": "{in}/scenario/scenario.yaml",
