@@ -24,7 +24,7 @@ setup: .venv/.ready
 # Enough for what runs none of our code.
 .venv/.installed: pyproject.toml uv.lock .tools/bin/uv
 	@echo "dslab setup: installing the locked packages into .venv"
-	@$(UV) sync --quiet --frozen --extra cluster --extra evo --python $(PYTHON)
+	@$(UV) sync --quiet --frozen --extra cluster --extra evo --extra rosbag --python $(PYTHON)
 	@touch $@
 
 .venv/.ready: .venv/.installed

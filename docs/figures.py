@@ -70,7 +70,9 @@ def _conditions(n: int, header: tuple[str, ...]) -> str:
                 ", ".join(verdicts),
             )
         )
-    return table((*header, "Eq. 1", "weakest link", "failed, D", "D / Eq. 1", "k", "independence, forecast"), rows)
+    return table(
+        (*header, "Eq. 1", "weakest link", "failed, D", "D / Eq. 1", "k", "independence, forecast"), rows
+    )
 
 
 def eq1_pairs() -> str:
