@@ -1,11 +1,12 @@
 """Viewer of recordings."""
 
 import os
+import signal
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -37,12 +38,17 @@ def served_viewer(path: Path) -> Iterator[tuple[str, subprocess.Popen]]:
     rerun = Path(sys.executable).with_name("rerun")
     ports = ("--bind", "127.0.0.1", "--web-viewer-port", str(pages), "--port", str(data))
     server = subprocess.Popen(
-        [rerun, path, "--serve-web", *ports], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        [rerun, path, "--serve-web", *ports],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
     )
     try:
         yield f"http://127.0.0.1:{pages}?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy", server
     finally:
-        server.terminate()
+        # The command starts the server itself in a process of its own.
+        with suppress(ProcessLookupError):
+            os.killpg(server.pid, signal.SIGTERM)
         server.wait()
 
 

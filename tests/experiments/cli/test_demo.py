@@ -3,7 +3,9 @@
 import time
 import urllib.error
 import urllib.request
+from pathlib import Path
 
+import psutil
 import pytest
 from pool_fakes import open_local_pool
 from rerun.chunk import RrdReader
@@ -152,7 +154,8 @@ def test_its_scenario_has_the_three_stresses_one_after_the_other_with_clean_time
 
 @pytest.mark.slow
 def test_a_browser_of_this_machine_is_served_until_it_ends(demo):
-    with served_viewer(demo[0] / "recording.rrd") as (address, server):
+    recording = str(demo[0] / "recording.rrd")
+    with served_viewer(Path(recording)) as (address, server):
         assert address.startswith("http://127.0.0.1:")
         until_s = time.monotonic() + 30
         while True:
@@ -164,3 +167,7 @@ def test_a_browser_of_this_machine_is_served_until_it_ends(demo):
                 assert time.monotonic() < until_s and server.poll() is None
                 time.sleep(0.1)
     assert server.poll() is not None
+    until_s = time.monotonic() + 5
+    while any(recording in (p.info["cmdline"] or ()) for p in psutil.process_iter(["cmdline"])):
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
