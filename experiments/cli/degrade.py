@@ -82,7 +82,7 @@ def degrade_command(
     truth_form: TruthFormOption = "tum",
     force: ForceOption = False,
 ) -> None:
-    """Degrade a folder in TUM, KITTI, EuRoC, TUM-mono, VSLAM-LAB or TartanAir form, images or a video.
+    """Degrade recorded frames: a sequence folder of any form, a ROS bag, images or a video.
 
     Writes the frames with ground truth and calibration, depth images (TUM and VSLAM-LAB form) and inertial
     readings (EuRoC form) if present, and segments.json and frame_truth.csv with the true times and strengths
