@@ -70,9 +70,8 @@ def _conditions(n: int, header: tuple[str, ...]) -> str:
                 ", ".join(verdicts),
             )
         )
-    return table(
-        (*header, "Eq. 1", "weakest link", "failed, D", "D / Eq. 1", "k", "independence, forecast"), rows
-    )
+    figures = ("Eq. 1", "weakest link", "failed, D", "D / Eq. 1", "k", "independence, forecast")
+    return table((*header, *figures), rows)
 
 
 def eq1_pairs() -> str:

@@ -2,9 +2,10 @@
 
 import json
 import math
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -151,25 +152,24 @@ class _Bars(Progress):
 def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
     """Show progress on stderr, one bar per step; yields a callback of (step, done, total, note below).
 
-    Without a terminal a line is written now and then, so that a log tells that a long command goes on.
+    Without a terminal a line is written now and then, however long a step takes, so that a log tells that a
+    long command goes on.
 
     Args:
         kernels: compile those that are not there yet, as a first step; False for what runs no SLAM.
     """
     columns = (TextColumn("{task.description}", markup=False), BarColumn(30), MofNCompleteColumn())
     times = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn())
-    with _Bars(
+    with ExitStack() as stack, _Bars(
         *columns, *times, console=err, transient=True, disable=not err.is_terminal,
         speed_estimate_period=math.inf,
     ) as bars:  # fmt: skip
         tasks: dict[str, Any] = {}
-        written_s = time.monotonic()
+        log = None if err.is_terminal else stack.enter_context(_log_now_and_then())
 
         def show(step: str, done: int, total: int, note: str = "") -> None:
-            nonlocal written_s
-            if not err.is_terminal and time.monotonic() - written_s >= LOG_EVERY_S:
-                written_s = time.monotonic()
-                err.print(f"{step}: {done} of {total}", soft_wrap=True)
+            if log is not None:
+                log["state"] = f"{step}: {done} of {total}"
             bars.note = note
             if step not in tasks:
                 tasks[step] = bars.add_task(step)
@@ -180,6 +180,24 @@ def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
 
             compile_kernels(show)
         yield show
+
+
+@contextmanager
+def _log_now_and_then() -> Iterator[dict[str, str]]:
+    """Write the state, of which the caller keeps the latest, and the time since the start to stderr."""
+    log, ended, begun_s = {"state": "under way"}, threading.Event(), time.monotonic()
+
+    def write() -> None:
+        while not ended.wait(LOG_EVERY_S):
+            print_error_line(f"{log['state']}, {(time.monotonic() - begun_s) / 60:.0f} min")
+
+    thread = threading.Thread(target=write, daemon=True)
+    thread.start()
+    try:
+        yield log
+    finally:
+        ended.set()
+        thread.join()
 
 
 def table_of(rows: Iterable[Mapping[str, object]], title: str = "") -> Table:

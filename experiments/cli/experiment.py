@@ -321,6 +321,7 @@ def report_command(
     from dslab.scenarios.input_files import read_json
 
     with progress_bars() as show:
+        show("figures", 0, 1)
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))
     print_report(read_json(folder / FIGURES, dict))
     say(f"report in {path}")

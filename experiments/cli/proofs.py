@@ -44,10 +44,12 @@ def power_command(
 
     design = Design(worlds or MOST_WORLDS, sequences, replicates, icc, tests)
     try:
-        if worlds is None:
-            found = worlds_needed(p0, tuple(pr), ratio, power, design)
-        else:
-            found = power_of(p0, tuple(pr), ratio, design)
+        with progress_bars(kernels=False) as show:
+            show("simulating", 0, 1)
+            if worlds is None:
+                found = worlds_needed(p0, tuple(pr), ratio, power, design)
+            else:
+                found = power_of(p0, tuple(pr), ratio, design)
     except ValueError as error:
         raise InputError("dslab experiment power", str(error), "give other assumptions") from None
     if as_json:

@@ -116,7 +116,10 @@ def install_command(
     if environment is None:
         raise InputError(f"system {name}", "has no environment to install", "see `dslab systems list`")
     say(f"installing {' '.join(environment.contents)}")
-    say(f"{name}: {install(name, environment, repository)}")
+    with progress_bars(kernels=False) as show:
+        show("installing", 0, 1)
+        place = install(name, environment, repository)
+    say(f"{name}: {place}")
 
 
 def _described(registry: "Registry", name: str) -> dict[str, str]:
