@@ -239,7 +239,7 @@ def replay_command(
         typer.Option(metavar="TEXT", help="Instead of UNIT: the first of whose outcome this is a part."),
     ] = None,
     rerun: Annotated[
-        Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording for `dslab view`.")
+        Path | None, typer.Option(metavar="FILE.rrd", help="Save a recording of its arms for `dslab view`.")
     ] = None,
     systems_dir: SystemsOption = None,
     timeout: TimeoutOption = TIMEOUT_S,

@@ -22,6 +22,7 @@ from dslab.experiments.evaluation.audit_report import audit_loss_in
 from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.runs.ending import EndKind
 from dslab.experiments.runs.execution import (
+    Observer,
     RunRecord,
     execute,
     live_trajectories,
@@ -78,17 +79,23 @@ class BranchRun:
         system: the SLAM system.
         sequence: its input.
         results: of the frames fed so far.
+        observer: called after every frame.
 
     Attributes:
         first_new_frame: first frame of the new map from which the first recovery started; None before it.
     """
 
     def __init__(
-        self, system: MonocularSystem, sequence: Sequence, results: tuple[TrackingResult, ...] = ()
+        self,
+        system: MonocularSystem,
+        sequence: Sequence,
+        results: tuple[TrackingResult, ...] = (),
+        observer: Observer | None = None,
     ) -> None:
         self.system = system
         self.sequence = sequence
         self.results = list(results)
+        self._observer = observer
         self.first_new_frame: int | None = None
 
     @classmethod
@@ -117,7 +124,10 @@ class BranchRun:
     def step(self) -> None:
         """Feed one frame."""
         index, happened = self.frames, len(self.system.events)
-        result = self.system.process(self.sequence.frames[index], float(self.sequence.stamps_s[index]))
+        image = self.sequence.frames[index]
+        result = self.system.process(image, float(self.sequence.stamps_s[index]))
+        if self._observer is not None:
+            self._observer.frame(image, result, self.system)
         self.results.append(without_features(result))
         for event in self.system.events[happened:]:
             if isinstance(event, RecoveryStart) and self.first_new_frame is None:
@@ -184,14 +194,21 @@ def lead_in_of(
     )
 
 
-def run_lead_in(system: str, sequence: Sequence, onset: int, seed: int, settings: SlamSettings) -> BranchRun:
+def run_lead_in(
+    system: str,
+    sequence: Sequence,
+    onset: int,
+    seed: int,
+    settings: SlamSettings,
+    observer: Observer | None = None,
+) -> BranchRun:
     """Run the frames before the onset, which all arms share; arguments as of :func:`lead_in_of`.
 
     Its arms, and those of the cells that share it, see most images again: their features are kept.
     """
     made = factory_of(settings)(system, slam_camera(sequence.camera), seed)
     made.engine.remember_features(2 * len(sequence))
-    branch = BranchRun(made, sequence)
+    branch = BranchRun(made, sequence, observer=observer)
     branch.feed(onset)
     return branch
 
@@ -305,15 +322,20 @@ def run_crossing(lead_in: Saved, sequence: Sequence, end_frame: int) -> BranchRu
     segment.
     """
     branch = BranchRun.resume(lead_in, sequence)
+    cross(branch, end_frame)
+    while not (branch.at_end or branch.first_new_frame is not None):
+        branch.step()
+    branch.system.finish()
+    return branch
+
+
+def cross(branch: BranchRun, end_frame: int) -> None:
+    """Save the map of a run at the onset, and begin a new one behind the last frame of the segment."""
     system = branch.system
     assert isinstance(system, DualSlam)
     system.cut()
     branch.feed(end_frame + 1)
     system.restart()
-    while not (branch.at_end or branch.first_new_frame is not None):
-        branch.step()
-    system.finish()
-    return branch
 
 
 def run_other(

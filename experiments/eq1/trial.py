@@ -10,7 +10,17 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dslab.experiments.eq1.arms import PLAIN, LeadIn, lead_in_of, run_crossing, run_free, run_other
+from dslab.experiments.eq1.arms import (
+    PLAIN,
+    LeadIn,
+    cross,
+    lead_in_fault,
+    lead_in_of,
+    run_crossing,
+    run_free,
+    run_lead_in,
+    run_other,
+)
 from dslab.experiments.eq1.conditioning import judge_pairs
 from dslab.experiments.eq1.judging import judge_crossing, judge_free, judge_other
 from dslab.experiments.eq1.records import Outcome, empty_record, error_message
@@ -28,6 +38,8 @@ from dslab.scenarios.spec import Scenario
 from dslab.sim.sequence import Sequence
 
 Row = dict[str, Any]
+CROSSING = "crossing"
+"""Name of the crossing arm in a recording."""
 
 
 def run_unit(unit: UnitSpec, cache_dir: Path | None = None, folders: Iterable[Path] = ()) -> Row:
@@ -79,6 +91,9 @@ def record_unit(
 ) -> list[RunRecord]:
     """Run and record the base and the unit's system from the start; ours behave as in the unit.
 
+    A unit with a crossing arm has it recorded too, under the name ``CROSSING``, unless its lead-in is not
+    healthy. It goes on to the last frame; what the unit's record has of it is its first recovery.
+
     Args:
         unit, cache_dir, folders: as of :func:`run_unit`.
         path: of the recording.
@@ -90,14 +105,25 @@ def record_unit(
 
     system = Registry.open(folders).find(unit.system)
     sequence = frames_of(unit.scenario, unit.start_frame, cache_dir)
-    build = factory_of(unit_settings(unit.settings, unit.threads))
+    settings, seed = unit_settings(unit.settings, unit.threads), unit.repeat_seed
     systems = {"base": OwnSystem("base"), system.name: system}
-    with Recording(path, sequence, list(systems)) as recorded:
+    names = [*systems, *([CROSSING] if unit.recovers and "crossing" in unit.arms else [])]
+    with Recording(path, sequence, names) as recorded:
         runs = [
-            run_system(each, sequence, unit.repeat_seed, build, observer=recorded.watch(kind))
+            run_system(each, sequence, seed, factory_of(settings), observer=recorded.watch(kind))
             for kind, each in systems.items()
         ]
-        recorded.finish(runs)
+        onset = Exposure.of(unit.onset_s, unit.exposed_s, sequence.stamps_s)
+        crossing = []
+        if CROSSING in names and not lead_in_fault(
+            runs[-1].results, runs[-1].events, sequence, onset.onset_frame
+        ):
+            watcher = recorded.watch(CROSSING)
+            branch = run_lead_in(unit.system, sequence, onset.onset_frame, seed, settings, watcher)
+            cross(branch, onset.end_frame)
+            branch.run_out()
+            crossing = [branch.record(CROSSING, seed)]
+        recorded.finish([*runs, *crossing])
     return runs
 
 

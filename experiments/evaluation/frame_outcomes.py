@@ -7,7 +7,7 @@ import numpy as np
 
 from dslab.experiments.evaluation.summary import is_tracked, posed_frames
 from dslab.experiments.runs.execution import RunRecord
-from dslab.slam.core.events import Breakage, Event, Fusion
+from dslab.slam.core.events import Breakage, Event, Fusion, MapCut
 
 
 class FrameOutcome(Enum):
@@ -21,12 +21,12 @@ class FrameOutcome(Enum):
 def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
     """Outcome of each frame.
 
-    A frame after a breakage that was not tracked live and has a final pose was posed by the recovery that
-    went back over it, if maps were fused later. Else it was posed by initialization, which poses the frames
-    between its two views, and counts as tracked. A frame of a dropped map has no pose.
+    A frame after a breakage, or a cut, that was not tracked live and has a final pose was posed by the
+    recovery that went back over it, if maps were fused later. Else it was posed by initialization, which poses
+    the frames between its two views, and counts as tracked. A frame of a dropped map has no pose.
     """
     posed = posed_frames(record)
-    first = min((e.frame for e in record.events if isinstance(e, Breakage)), default=len(posed))
+    first = min((e.frame for e in record.events if isinstance(e, Breakage | MapCut)), default=len(posed))
     fused_later = known_from(record.events, len(posed)) < len(posed)
     live = [is_tracked(r) or f < first or not fused_later[f] for f, r in enumerate(record.results)]
     return [

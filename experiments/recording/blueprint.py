@@ -144,7 +144,9 @@ def _image_view(kind: str, width: float, height: float, direct: bool) -> rrb.Spa
 def opening_s(records: Many[RunRecord]) -> tuple[float, float]:
     """Time from the first frame on with which a recording opens: about the first breakage, else all."""
     times_s = records[0].sequence.stamps_s - records[0].sequence.stamps_s[0]
-    broke = [float(times_s[e.frame]) for r in records for e in r.events if isinstance(e, Breakage | MapCut)]
+    events = [event for record in records for event in record.events]
+    broke = [float(times_s[e.frame]) for e in events if isinstance(e, Breakage)]
+    broke = broke or [float(times_s[e.frame]) for e in events if isinstance(e, MapCut)]
     if not broke:
         return 0.0, float(times_s[-1])
     return max(0.0, min(broke) - _ABOUT_S), min(float(times_s[-1]), min(broke) + _ABOUT_S)

@@ -302,21 +302,15 @@ class RunDrawing:
         self._stream.columns(entity, frames, rr.Scalars.columns(scalars=values))
 
 
-def draw_lane(stream: Stream, under: str, lane: Lane, frames: int, shown_frames: int) -> None:
-    """Draw a lane of a run of some frames as a row of the timeline view, which shows some of them at first.
-
-    A value whose words do not fit into its time is drawn without them.
-    """
+def draw_lane(stream: Stream, under: str, lane: Lane) -> None:
+    """Draw a lane as a row of the timeline view, which cuts off words that are longer than their time."""
     entity = f"{under}/{part(lane.name)}"
-    spans = lane.labelled(frames, shown_frames)
-    styles = {
-        shown(value, fits): (value if fits else " ", lane.colors[value]) for _, value, fits in spans if value
-    }
-    labels, colors = zip(*styles.values(), strict=True)
-    rgba = np.array([palette.rgba(color) for color in colors], np.uint32)
-    stream.static(entity, rr.StateConfiguration(values=list(styles), labels=labels, colors=rgba))
-    changes = rr.StateChange.columns(state=[shown(value, fits) for _, value, fits in spans])
-    stream.columns(entity, [frame for frame, _, _ in spans], changes)
+    values, colors = list(lane.colors), [palette.rgba(color) for color in lane.colors.values()]
+    stream.static(
+        entity, rr.StateConfiguration(values=values, labels=values, colors=np.array(colors, np.uint32))
+    )
+    changes = rr.StateChange.columns(state=[value for _, value in lane.changes])
+    stream.columns(entity, [frame for frame, _ in lane.changes], changes)
 
 
 def transform(S_world_map: Similarity) -> rr.Transform3D:
@@ -324,11 +318,6 @@ def transform(S_world_map: Similarity) -> rr.Transform3D:
     return rr.Transform3D(
         translation=S_world_map.t_world_map, mat3x3=S_world_map.scale * S_world_map.R_world_map
     )
-
-
-def shown(value: str, fits: bool) -> str:
-    """The state that is drawn for a value: with another one, words may be left out."""
-    return value if fits else f"{value} (brief)"
 
 
 def _view_coordinates(up: np.ndarray) -> rr.ViewCoordinates:

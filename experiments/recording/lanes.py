@@ -9,10 +9,7 @@ from dslab.experiments.recording import palette
 from dslab.experiments.recording.palette import Color
 from dslab.experiments.recording.stories import Story, stories
 from dslab.experiments.runs.execution import RunRecord
-from dslab.slam.core.events import CANCELLED, MapCut, RecoveryEnd, RecoveryStart
-
-LETTERS = 72
-"""Letters that fit into a lane on a screen of usual width."""
+from dslab.slam.core.events import CANCELLED, RecoveryEnd, RecoveryStart
 
 
 @dataclass
@@ -42,19 +39,6 @@ class Lane:
         """Add what happens in one frame."""
         self.add(frame, value, color)
         self.add(frame + 1, "")
-
-    def labelled(self, frames: int, shown: int) -> list[tuple[int, str, bool]]:
-        """Changes as (frame, value, True if the value's words fit into its time).
-
-        Args:
-            frames: number of frames of the run.
-            shown: number of frames over which the timeline extends.
-        """
-        ends = [frame for frame, _ in self.changes[1:]] + [frames]
-        return [
-            (frame, value, len(value) <= LETTERS * (end - frame) / shown)
-            for (frame, value), end in zip(self.changes, ends, strict=True)
-        ]
 
 
 def system_lanes(record: RunRecord) -> list[Lane]:
@@ -98,14 +82,11 @@ def _states(record: RunRecord) -> Lane:
 def _breakages(record: RunRecord) -> list[Lane]:
     """Lanes of the moments of breakages and cuts, and of those at which something became of them."""
     broken, mended = Lane("breakages"), Lane("repairs")
-    begun = {story.frame: ("broken", palette.LOST) for story in stories(record)}
-    begun |= {e.frame: ("cut", palette.NOTE) for e in record.events if isinstance(e, MapCut)}
     ends: dict[int, Story] = {}
-    for story in stories(record):
+    for story in sorted(stories(record), key=lambda story: story.frame):
+        broken.mark(story.frame, "cut" if story.name == "cut" else "broken", palette.LOST)
         if story.end is not None:
             ends.setdefault(story.end, story)
-    for frame, (value, color) in sorted(begun.items()):
-        broken.mark(frame, value, color)
     for frame, story in sorted(ends.items()):
         mended.mark(frame, story.how, palette.FUSED if story.is_repaired else palette.REFUSED)
     return [lane for lane in (broken, mended) if lane.changes]

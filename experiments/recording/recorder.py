@@ -11,7 +11,7 @@ import rerun as rr
 from dslab.experiments.evaluation.scene import lay_out
 from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.recording import palette
-from dslab.experiments.recording.blueprint import make_blueprint, opening_s, world_aspect
+from dslab.experiments.recording.blueprint import make_blueprint, world_aspect
 from dslab.experiments.recording.drawing import (
     INJECTED,
     SYSTEMS,
@@ -99,14 +99,11 @@ class Recording:
 
     def _draw_lanes(self, records: Many[RunRecord]) -> int:
         """Draw the lanes of segments and systems; returns their number."""
-        lanes = [(INJECTED, lane, len(records[0].results)) for lane in segment_lanes(records[0])]
+        lanes = [(INJECTED, lane) for lane in segment_lanes(records[0])]
         for record in records:
-            under, frames = f"{SYSTEMS}/{part(record.system_kind)}", len(record.results)
-            lanes += [(under, lane, frames) for lane in system_lanes(record)]
-        start_s, end_s = opening_s(records)
-        shown = round((end_s - start_s) * self._sequence.camera.fps) + 1
-        for under, lane, frames in lanes:
-            draw_lane(self._stream, under, lane, frames, shown)
+            lanes += [(f"{SYSTEMS}/{part(record.system_kind)}", lane) for lane in system_lanes(record)]
+        for under, lane in lanes:
+            draw_lane(self._stream, under, lane)
         return len(lanes)
 
     def show_image(self, frame: int, image: np.ndarray) -> None:

@@ -1,20 +1,20 @@
-"""Breakages of a run in words: when, and what became of each."""
+"""Breakages of a run, and cuts on request, in words: when, and what became of each."""
 
 from dataclasses import dataclass
 
 from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_outcomes
 from dslab.experiments.runs.execution import RunRecord
-from dslab.slam.core.events import Relocalized
+from dslab.slam.core.events import Fusion, MapCut, Relocalized
 
 _DROPPED = "map dropped"
 
 
 @dataclass(frozen=True)
 class Story:
-    """A breakage and its end.
+    """A breakage, or a cut, and its end.
 
     Attributes:
-        number: from 1, in the order of declaration.
+        name: what it is, numbered from 1 in the order of declaration.
         frame: of the declaration.
         end: frame from which the broken map is in use again, or tracking goes on without it; None for never.
         how: "relocalized", "fused", "fused by place", or "bridged", where a recovery went past it to an older
@@ -22,7 +22,7 @@ class Story:
             end.
     """
 
-    number: int
+    name: str
     frame: int
     end: int | None
     how: str
@@ -35,25 +35,32 @@ class Story:
     def label_at(self, frame: int) -> str:
         """A few words, as far as it is known at a frame."""
         is_over = self.end is not None and frame >= self.end
-        return f"breakage {self.number}" + (f": {self.how}" if is_over else "")
+        return self.name + (f": {self.how}" if is_over else "")
 
 
 def stories(record: RunRecord) -> list[Story]:
-    """The stories of all breakages of a run, in order."""
+    """The stories of all breakages of a run, in order, then those of its cuts."""
     stamps_s = list(record.sequence.stamps_s)
     outcomes = breakage_outcomes(record.events, record.sequence.segments, stamps_s)
-    return [_story(number, outcome) for number, outcome in enumerate(outcomes, 1)]
+    broken = [_story(f"breakage {number}", outcome) for number, outcome in enumerate(outcomes, 1)]
+    return [*broken, *(_cut(event, record) for event in record.events if isinstance(event, MapCut))]
 
 
-def _story(number: int, outcome: BreakageOutcome) -> Story:
+def _cut(cut: MapCut, record: RunRecord) -> Story:
+    fused = [e.frame for e in record.events if isinstance(e, Fusion) and e.accepted]
+    end = min((frame for frame in fused if frame >= cut.frame), default=None)
+    return Story("cut", cut.frame, end, "" if end is None else "fused")
+
+
+def _story(name: str, outcome: BreakageOutcome) -> Story:
     repairs = (outcome.fusion if outcome.recovered else None, outcome.relocalized, outcome.joined)
     frame, repair = outcome.breakage.frame, min(filter(None, repairs), key=lambda e: e.frame, default=None)
     if repair is None and outcome.bridged is not None:
-        return Story(number, frame, outcome.bridged.frame, "bridged")
+        return Story(name, frame, outcome.bridged.frame, "bridged")
     if repair is None and outcome.dropped:
-        return Story(number, frame, outcome.reinit_frame, _DROPPED if outcome.reinit_frame else "")
+        return Story(name, frame, outcome.reinit_frame, _DROPPED if outcome.reinit_frame else "")
     if repair is None:
-        return Story(number, frame, None, "")
+        return Story(name, frame, None, "")
     how = (
         "relocalized"
         if isinstance(repair, Relocalized)
@@ -61,4 +68,4 @@ def _story(number: int, outcome: BreakageOutcome) -> Story:
         if repair is outcome.joined
         else "fused"
     )
-    return Story(number, frame, repair.frame, how)
+    return Story(name, frame, repair.frame, how)

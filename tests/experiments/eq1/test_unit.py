@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
+from slam_fakes import FakeSystem
 from unit_scenes import END, FRAMES, ONSET, run, synthetic, unit
 
 from dslab.experiments.eq1 import arms, trial
@@ -185,11 +187,26 @@ def test_every_record_has_the_same_columns_of_plain_values(broken, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_unit_can_record_base_and_dual(monkeypatch, tmp_path):
+def test_a_recorded_unit_shows_base_and_dual_and_the_crossing_arm(monkeypatch, tmp_path):
     path = tmp_path / "unit.rrd"
     monkeypatch.setattr(trial, "frames_of", lambda *_: BROKEN)
     runs = trial.record_unit(unit("orb"), path)
     assert [run.system_kind for run in runs] == ["base", "dual"] and path.stat().st_size > 100_000
+    found = {chunk.entity_path: chunk for chunk in RrdReader(path).stream() if not chunk.is_static}
+    cut = found["/slam/crossing/breakages"].to_record_batch().to_pydict()
+    assert (cut["frame"][0], cut["StateChange:state"][0]) == (ONSET - 1, ["cut"])
+    assert "/slam/crossing/repairs" in found and "/world/crossing/map_1/path" in found
+
+
+def test_a_unit_without_a_crossing_arm_or_a_healthy_lead_in_is_recorded_without(monkeypatch, tmp_path):
+    monkeypatch.setattr(trial, "frames_of", lambda *_: BROKEN)
+    monkeypatch.setattr(trial, "run_system", lambda *_, **__: runs.pop(0))
+    monkeypatch.setattr(trial, "cross", lambda *_: pytest.fail("there is nothing to cross"))
+    lost = FakeSystem(BROKEN.T_world_cam, starts_at=len(BROKEN))
+    blind = [execute(BROKEN, kind, 0, build=lambda *_: replace(lost)) for kind in ("base", "dual")]
+    for of in (unit("orb"), unit("orb").model_copy(update={"arms": ("free",)})):
+        runs = [*blind]
+        trial.record_unit(of, tmp_path / "unit.rrd")
 
 
 # -- branches and modes --------------------------------------------------------------------------------------
