@@ -86,6 +86,8 @@ def _enter(job: dict) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_FSIZE, (FILE_BYTES, FILE_BYTES))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    for name, most in job["limits"]:
+        resource.setrlimit(getattr(resource, f"RLIMIT_{name}"), (most, most))
     signal.alarm(job["seconds"])
 
 

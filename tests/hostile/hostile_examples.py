@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import yaml
+from hostile_results import batch, calibrations, write_batch
 from hostile_sequences import (
     euroc,
     evo_results,
@@ -20,6 +21,7 @@ from hostile_sequences import (
     tum_with_lens,
     vslam_lab,
 )
+from hostile_systems import long_program, own_class, program
 from small_world import CAMERA, CORRIDOR
 
 from dslab.experiments.campaign.folder import ERROR_COLUMNS, claim_folder, export, open_ledger, write_spec
@@ -53,7 +55,8 @@ class Example:
     Attributes:
         name: kind of input.
         write: writes it into a new folder.
-        commands: command lines that read it and end soon, with the places ``{in}`` and ``{out}``.
+        commands: command lines that read it and end soon, with the places ``{in}`` and ``{out}``, and
+            ``{changed}`` for the file that was changed.
         ours: patterns of the lab's own files with checksums: no change of a bit may go unseen.
         optional: patterns of files that may be absent.
         sparse: patterns of files that may be absent, or lack some of their entries.
@@ -61,6 +64,7 @@ class Example:
         fixed: patterns of files that are left as they are.
         mended: patterns of files that a command may mend by itself.
         environment: variables, with the same places.
+        kept: the result stays where what a system has left is refused.
         heavy: seconds go by before its commands read it.
     """
 
@@ -74,6 +78,7 @@ class Example:
     fixed: tuple[str, ...] = ()
     mended: tuple[str, ...] = ()
     environment: dict[str, str] = field(default_factory=dict)
+    kept: bool = False
     heavy: bool = False
 
 
@@ -155,6 +160,8 @@ def _everything(folder: Path) -> None:
     """One valid input of each command, and an occupied folder."""
     for name, write in (("tum", tum), ("scenario", _scenario), ("experiment", _spec), ("result", _result)):
         write(folder / name)
+    write_batch(folder)
+    long_program(folder / "systems")
 
 
 def _cache(folder: Path) -> None:
@@ -244,6 +251,41 @@ EXAMPLES: dict[str, Example] = {
                 for name in ("scannet", "room/replica", "nerfstudio", "colmap")
             ),
             free=("*",),  # poses have no stamps, and a frame may be without one
+        ),
+        Example(
+            "calibrations",
+            calibrations,
+            ("camera {changed} --fps 10 --size 96x64",),
+            sparse=("*.json", "*.yaml", "*.xml"),
+            free=("*.txt",),  # figures without names
+        ),
+        Example(
+            "own class",
+            own_class,
+            ("run {in}/tum --system {in}/own.py:Own --out {out}",),
+            free=("own.py",),
+            kept=True,
+            fixed=("tum/*",),
+            heavy=True,
+        ),
+        Example(
+            "program",
+            program,
+            ("run {in}/tum --system copy --systems {in}/systems --out {out}",),
+            free=("systems/*",),
+            kept=True,
+            fixed=("tum/*",),
+            heavy=True,
+        ),
+        Example(
+            "batch",
+            batch,
+            ("batch {in}/batch.yaml --out {in}/batch --json", "compare {in}/batch --out {out} --json"),
+            ours=("batch/ledger.sqlite", "batch/driver.lock"),
+            free=("batch/*", "batch.yaml"),
+            fixed=("tum/*",),
+            mended=("batch/*",),
+            heavy=True,
         ),
         Example("evo results", evo_results, ("evo {in}/mine.zip",)),
         Example("scenario", _scenario, _DRAWN, sparse=("*",)),

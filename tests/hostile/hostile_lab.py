@@ -70,6 +70,7 @@ class Lab:
 
     def judge(self, example: Example, command: str, mutation: Mutation) -> tuple[str, list[str]]:
         """The outcome of a command on a mutated example, and its faults."""
+        command = command.replace("{changed}", f"{{in}}/{mutation.path}")
         valid = self.valid(example, command)
         case = self.run(example, command, mutation)
         if case.ended.code == 0 and mutation.strict and case.seen != valid:
@@ -86,6 +87,7 @@ class Lab:
         result: str = "result",
         more: Sequence[str] = (),
         stdout: str | None = None,
+        limits: Sequence[tuple[str, int]] = (),
         **environment: str,
     ) -> "Case":
         """Run a command on a copy of an example.
@@ -98,6 +100,7 @@ class Lab:
             result: name of the output.
             more: further words, as they are but for the places.
             stdout: a file to write to instead.
+            limits: of the process, by their names after ``RLIMIT_``.
             environment: variables.
         """
         folder = self._root / f"case-{self._number:06d}"
@@ -114,10 +117,12 @@ class Lab:
             name: filled(value, places) for name, value in (example.environment | environment).items()
         }
         words = [filled(word, places) for word in (*command.split(), *more)]
-        ended = self._call(words, folder, variables, stdout or str(folder / "stdout"))
+        ended = self._call(words, folder, variables, stdout or str(folder / "stdout"), limits)
         after = contents(folder / given)
         changed = [n for n in {*before, *after} if before.get(n) != after.get(n) and not passing(n, example)]
-        faults = faults_of(ended, command) + debris(folder, given, result, ended.code)
+        faults = faults_of(ended, command)
+        may_be = result if ended.code == 0 or (example.kept and ended.code == 2) else None
+        faults += debris(folder, given, may_be, ended.code)
         outcome = {0: "accepted", 2: "refused"}.get(ended.code, "failed")
         if ended.code != 0:
             faults += [f"input {'changed' if name in before else 'added'}: {name}" for name in changed]
@@ -128,10 +133,12 @@ class Lab:
         shutil.rmtree(folder, ignore_errors=True)
         return Case(ended, outcome, faults, {n: d for n, d in seen.items() if Path(n).name not in _MEASURED})
 
-    def _call(self, words: list[str], folder: Path, variables: dict[str, str], stdout: str) -> Ended:
+    def _call(
+        self, words: list[str], folder: Path, variables: dict[str, str], stdout: str, limits: Sequence
+    ) -> Ended:
         stderr = folder / "stderr"
         files = {"stdout": stdout, "stderr": str(stderr), "cwd": str(folder)}
-        answer = self._ask(argv=words, env=variables, seconds=SECONDS, **files)
+        answer = self._ask(argv=words, env=variables, seconds=SECONDS, limits=limits, **files)
         out = text(Path(stdout)) if Path(stdout).is_file() else ""
         return Ended(answer.pop("code"), out, text(stderr), **answer)
 
@@ -142,7 +149,7 @@ class Lab:
             example.write(folder)
             for number, command in enumerate(example.commands):
                 # Neither a context of OpenGL nor another process outlives a fork.
-                if not command.startswith((RENDERS, "experiment replay")):
+                if not command.startswith((RENDERS, "experiment replay", "batch")):
                     places = {"{in}": str(folder), "{out}": f"{folder}-{number}"}
                     self._ask(argv=[filled(word, places) for word in command.split()], here=True)
 

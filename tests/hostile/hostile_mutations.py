@@ -9,6 +9,7 @@ from typing import Any
 from hostile_binary import archive, content, image, place, rows
 from hostile_changes import UNLESS_OPTIONAL, UNLESS_SPARSE
 from hostile_examples import Example
+from hostile_systems import code
 from hostile_text import table, tree
 from hypothesis import strategies as st
 
@@ -20,6 +21,7 @@ _BY_SUFFIX = {
     ".png": [image],
     ".zip": [archive] * 2,
     ".sqlite": [rows] * 2,
+    ".py": [code] * 12,
 }
 
 
@@ -28,7 +30,7 @@ class Mutation:
     """One change of one file.
 
     Attributes:
-        kind: content, place, table, tree, image, archive or rows.
+        kind: content, place, table, tree, image, archive, rows or code.
         what: the change, in words.
         path: the file, relative to the example.
         strict: what is read must stay the same, if it is not refused.

@@ -13,7 +13,7 @@ from pathlib import Path
 from hostile_examples import Example
 
 PEAK_MB = 1500
-_WORKING = ("experiment run", "experiment fuzz", "bench", "doctor", "warmup", "paper", "demo")
+_WORKING = ("experiment run", "batch", "experiment fuzz", "bench", "doctor", "warmup", "paper", "demo")
 """Commands that an input can set to long work: at the end of their time they are no hang."""
 _REFUSAL = re.compile(r"error: [^\n]+: [^\n]+; [^\n]+\n")
 _REFUSALS = re.compile(rf"({_REFUSAL.pattern})+(and \d+ more\n)?")
@@ -72,9 +72,10 @@ def _last_frames(err: str) -> str:
     return f"{place} | {err.strip().splitlines()[-1][:200] if err.strip() else ''}"
 
 
-def debris(folder: Path, given: str, result: str, code: int) -> list[str]:
+def debris(folder: Path, given: str, result: str | None, code: int) -> list[str]:
+    """What is left beside a whole result, of this name if one may be there."""
     left = list((folder / "tmp").iterdir())
-    left += [p for p in (folder / "out").iterdir() if code != 0 or p.name != result]
+    left += [p for p in (folder / "out").iterdir() if p.name != result]
     left += [p for p in folder.rglob(".*") if p not in left and _PARTIAL.search(p.name)]
     if code != 0:
         left += [

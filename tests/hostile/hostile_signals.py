@@ -19,6 +19,8 @@ COMMANDS = {
     "run": "run {in}/scenario/scenario.yaml --system dual --rerun --map --out {out}",
     "demo": "demo --no-units --out {out}",
     "gallery": "scenarios gallery {in}/scenario/scenario.yaml --seeds 2 --frames 2 --workers 2 --out {out}",
+    "program": "run {in}/tum --system copy --systems {in}/systems --out {out}",
+    "batch": "batch {in}/batch.yaml --out {out}",
     "experiment": "experiment run {in}/experiment/spec.yaml --workers 2 --out {out}",
     "fuzz": "experiment fuzz --units 1 --system base --out {out}",
 }
@@ -93,8 +95,8 @@ class Place:
         return Running(process, mark, err)
 
     def done(self, name: str) -> bool:
-        """The result is there; that of an experiment is there from the start."""
-        return self.result.exists() and name != "experiment"
+        """The result is there; that of a batch or an experiment is there from the start."""
+        return self.result.exists() and name not in ("batch", "experiment")
 
     def debris(self) -> list[str]:
         """What no command may leave: anything but a whole result."""

@@ -29,7 +29,10 @@ _JSON = (
 def table(draw: Any, path: Path) -> Change:
     lines = path.read_text().splitlines()
     separator = "," if path.suffix == ".csv" else " "
-    rows = st.sampled_from([n for n, line in enumerate(lines) if line.strip() and line[0] != "#"])
+    filled = [n for n, line in enumerate(lines) if line.strip() and line[0] != "#"]
+    if not filled:
+        return "a line of words", False, lambda path: path.write_text("a b\n")
+    rows = st.sampled_from(filled)
     row, other = draw(rows), draw(rows)
     words = lines[row].split(separator)
     at = draw(st.integers(0, len(words) - 1))

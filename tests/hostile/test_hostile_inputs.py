@@ -119,7 +119,15 @@ def _variables() -> list[str]:
 
 @pytest.mark.slow
 def test_any_value_of_a_variable_works_or_is_refused_with_one_line(lab, findings, hostile):
-    others = ("TMPDIR", "XDG_CACHE_HOME", "PYTHONIOENCODING", "COLUMNS", "TERM", "NUMBA_CACHE_DIR")
+    others = (
+        "TMPDIR",
+        "XDG_CACHE_HOME",
+        "PYTHONIOENCODING",
+        "COLUMNS",
+        "TERM",
+        "NUMBA_CACHE_DIR",
+        "NUMBA_NUM_THREADS",
+    )
     encodings = st.sampled_from(("ascii", "latin-1", "utf-16"))
     names = st.sampled_from((*_variables(), *others))
     commands = (_RENDER, "scenarios list", *_READERS)
@@ -130,6 +138,27 @@ def test_any_value_of_a_variable_works_or_is_refused_with_one_line(lab, findings
         value = encoding if name == "PYTHONIOENCODING" else word
         case = lab.run(EVERYTHING, command, **{name: value})
         findings.add("variables", name, case.outcome, case.faults, f"{name}={value!r} dslab {command}")
+
+    call()
+    assert not findings.faults, findings.text()
+
+
+@pytest.mark.slow
+def test_any_limit_of_the_shell_lets_a_command_work_or_end_with_one_line(lab, findings, hostile):
+    commands = (_RENDER, _DEGRADE + " --segment fog:start_s=0.1,duration_s=0.2", "scenarios list", *_READERS)
+    limits = st.one_of(
+        st.tuples(st.just("FSIZE"), st.integers(4096, 200_000)),
+        st.tuples(st.just("NOFILE"), st.integers(3, 64)),
+    )
+
+    @hostile(0.03)
+    @given(st.sampled_from(commands), limits)
+    def call(command, limit):
+        case = lab.run(EVERYTHING, command, limits=[limit])
+        ended = case.ended
+        said = ended.code == 1 and re.fullmatch("error: [^\n]+\n", ended.err)
+        faults = [] if said else case.faults
+        findings.add("limits", limit[0], case.outcome, faults, f"{limit}: dslab {command}")
 
     call()
     assert not findings.faults, findings.text()
