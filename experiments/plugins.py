@@ -2,6 +2,8 @@
 
 import os
 import sys
+import sysconfig
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -19,8 +21,9 @@ GROUP = "dual_slam_lab.plugins"
 """Group of entry points; each names a module, or a function without arguments, that registers something."""
 VARIABLE = "DSLAB_PLUGINS"
 """Environment variable with further modules, separated by commas: names, or files that end with ``.py``."""
-_MOST_WORDS = 1000
+_MOST_WORDS, _MOST_LOG = 1000, 100_000
 _SOURCE = "__dslab_source__"
+_LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 
 
 @cache
@@ -106,11 +109,32 @@ def no_exit() -> Iterator[None]:
 
 
 def words_of(error: BaseException) -> str:
-    """Kind and message of what another's code has raised, in one line; its message may raise as well."""
+    """What another's code has raised, and where in it, in one line; its message may raise as well."""
     try:
         words = f"{type(error).__name__}: {error}"
     except KeyboardInterrupt:
         raise
     except BaseException:
         words = f"{type(error).__name__}, without words"
-    return " ".join(words.split())[:_MOST_WORDS]
+    return " ".join(words.split())[:_MOST_WORDS] + _place_of(error)
+
+
+def log_of(error: BaseException) -> str:
+    """The traceback of what another's code has raised."""
+    try:
+        return "".join(traceback.format_exception(error))[-_MOST_LOG:]
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
+        return "".join(traceback.format_tb(error.__traceback__))
+
+
+def _place_of(error: BaseException) -> str:
+    """The line of another's own code, not of a library that it calls; empty if none is known."""
+    own = [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if not str(frame.f_globals.get("__name__")).startswith("dslab.")
+    ]
+    own = [place for place in own if not place[0].startswith(("<", *_LIBRARIES))]
+    return f", at {own[-1][0]}:{own[-1][1]}" if own else ""

@@ -11,6 +11,7 @@ from dslab.experiments.runs.execution import AtEnd, RunRecord, SystemFactory
 from dslab.experiments.runs.files import to_json, write_events, write_frames_csv, write_tum
 from dslab.experiments.runs.inputs import hashed
 from dslab.experiments.runs.pacing import RealTime
+from dslab.experiments.runs.systems.command import LOG_FILE
 from dslab.experiments.runs.systems.registry import OwnSystem, System
 from dslab.experiments.runs.systems.run import run_system
 from dslab.sim.io.folders import Progress
@@ -105,6 +106,8 @@ def write_run(folder: Path, record: RunRecord, summary: dict, picture: bool = Tr
         (folder / TRUTH_FILE).write_text(text, encoding="utf-8")
     write_frames_csv(folder / "frames.csv", record.results)
     write_events(folder / "events.jsonl", record.events)
+    if record.ending.log:
+        (folder / LOG_FILE).write_text(record.ending.log, encoding="utf-8", errors="backslashreplace")
     (folder / SUMMARY_FILE).write_text(to_json(summary, indent=2) + "\n", encoding="utf-8")
     if picture:
         _draw(folder, {record.system_kind: record})

@@ -97,6 +97,7 @@ def run_command(
     from dslab.experiments.result_folder import PICTURE_FILE, run_systems
     from dslab.experiments.runs.slam_settings import SlamSettings, factory_of, read_slam_settings
     from dslab.experiments.runs.sources import open_sequence
+    from dslab.experiments.runs.systems.command import LOG_FILE
     from dslab.experiments.runs.systems.registry import Registry, split_names
     from dslab.sim.io.folders import check_free, new_directory
     from dslab.slam.warmup import warm_up
@@ -141,7 +142,9 @@ def run_command(
         files = {"picture": out_dir / PICTURE_FILE} | (
             {"recording": f"dslab view {out_dir}"} if rerun else {}
         )
-        print_facts(files | {kind: out_dir / kind if len(summaries) > 1 else out_dir for kind in summaries})
+        places = {kind: out_dir / kind if len(summaries) > 1 else out_dir for kind in summaries}
+        logs = {f"log of {kind}": log for kind, at in places.items() if (log := at / LOG_FILE).exists()}
+        print_facts(files | places | logs)
     _check_described(summaries)
 
 

@@ -24,11 +24,13 @@ class Ending:
         kind: the outcome.
         message: one line about it; empty if the run finished.
         remedy: what to do about it; empty if nothing is known.
+        log: what is known beyond the line, such as a traceback.
     """
 
     kind: EndKind = EndKind.FINISHED
     message: str = ""
     remedy: str = ""
+    log: str = ""
 
     @property
     def is_of_description(self) -> bool:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from dslab.experiments.plugins import no_exit, words_of
+from dslab.experiments.plugins import log_of, no_exit, words_of
 from dslab.experiments.runs.ending import Declares, Ending, EndKind
 from dslab.experiments.runs.systems.left_events import EVENT_FAULTS, checked_event
 from dslab.experiments.runs.systems.left_files import no_rotations
@@ -110,9 +110,10 @@ class PosesOnly:
         except KeyboardInterrupt:
             raise
         except MemoryError as error:
-            self.ending = Ending(EndKind.OUT_OF_MEMORY, words_of(error))
+            self.ending = Ending(EndKind.OUT_OF_MEMORY, words_of(error), log=log_of(error))
         except BaseException as error:
-            self.ending = Ending(EndKind.CRASHED, words_of(error), "run it in a debugger on this sequence")
+            remedy = "see its log, or run it in a debugger on this sequence"
+            self.ending = Ending(EndKind.CRASHED, words_of(error), remedy, log_of(error))
         return None
 
     def _final(self) -> list[np.ndarray | None] | None:

@@ -178,6 +178,34 @@ def test_numbers_of_numpy_are_those_of_an_event_and_one_that_is_none_spoils_no_o
     assert found == event and (type(found.frame), type(found.stamp_s)) == (int, float)
 
 
+RAISES = """
+import numpy as np
+class Own:
+    def __init__(self, camera, seed):
+        if seed == 1: self.deep()
+    def process(self, image, stamp_s):
+        return self.deep()
+    def deep(self):
+        return np.linalg.inv(np.zeros((2, 2)))
+"""
+
+
+def test_what_it_raises_is_said_with_its_own_line_and_the_log_of_the_result(
+    dslab, monkeypatch, no_picture, tmp_path, sequence
+):
+    monkeypatch.setattr(sources, "open_sequence", lambda *_, **__: sequence)
+    (tmp_path / "own.py").write_text(RAISES)
+    words = ("run", "x", "--system", f"{tmp_path}/own.py:Own", "--out", tmp_path / "r")
+    code, out, _ = dslab(*words, "--seed", "0")
+    said = f"LinAlgError: Singular matrix, at {tmp_path}/own.py:9"
+    assert code == 0 and said in json.loads((tmp_path / "r" / "summary.json").read_text())["ended_message"]
+    assert "own.py:9" in out and f"log of Own  {tmp_path / 'r' / 'log.txt'}" in out
+    log = (tmp_path / "r" / "log.txt").read_text()
+    assert log.startswith("Traceback") and 'own.py", line 9, in deep' in log and "linalg" in log
+    code, _, err = dslab(*words[:-1], tmp_path / "s", "--seed", "1")
+    assert code == 2 and f"({said})" in err and err.count("\n") == 1
+
+
 @pytest.mark.parametrize("member", ["__init__(self, *_)", "process"])
 @pytest.mark.parametrize("way", ["raise SystemExit", "import os; os._exit(0)", "raise GeneratorExit"])
 def test_one_that_ends_when_it_is_made_is_one_line(dslab, monkeypatch, tmp_path, sequence, member, way):
