@@ -102,8 +102,11 @@ def register_degradation(
         degradation: an ``ImageDegradation``, or a ``Degradation`` that changes the frame plan.
 
     Raises:
-        ValueError: model and degradation do not go together, or the kind is taken.
+        ValueError: model and degradation do not go together, the kind is taken, or an attribute is missing.
     """
+    lacking = [name for name in ("kind", "stage", "measure_name") if not hasattr(degradation, name)]
+    if lacking:
+        raise ValueError(f"{type(degradation).__name__} has no {lacking[0]}")
     acts_on_images = isinstance(degradation, ImageDegradation)
     if acts_on_images != issubclass(model, ImageSegment):
         raise ValueError(f"{model.__name__}: a degradation of images and an ImageSegment go together")

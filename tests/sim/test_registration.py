@@ -107,6 +107,12 @@ def test_what_does_not_fit_is_refused(model, degradation, said):
         sim.register_degradation(model, degradation)
 
 
+def test_a_degradation_without_a_name_of_its_measure_is_refused(monkeypatch):
+    monkeypatch.delattr(Inversion, "measure_name")
+    with pytest.raises(ValueError, match="Inversion has no measure_name"):
+        sim.register_degradation(Inverted, Inversion())
+
+
 def test_a_kind_that_is_taken_is_refused(inverted):
     class Another(scenarios.ImageSegment):
         kind: Literal["inverted"]
