@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 _SYSTEMS = {
     "base": "#d9622b",
-    "dual": "#7a4fb5",
+    "dual": "#101060",
     "dual+": "#1f6fb4",
     "paper": "#8a6d1f",
     "paper+": "#2c8a6d",
