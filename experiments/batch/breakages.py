@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from dslab.experiments.batch.rows import DOSE
 from dslab.experiments.comparison.left_summary import read_summary
 from dslab.experiments.evaluation.broken_maps import usable_frames
 from dslab.experiments.evaluation.view_overlap import best_overlap, is_rescuable
@@ -41,13 +42,13 @@ def breakages(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
     found = []
     for own in rows[rows.breakages.fillna(0) > 0].to_dict("records"):
         summary = read_summary(folder / own["folder"])
-        run = {name: own[name] for name in ("source", "system", "run", "seed")}
+        run = {name: own[name] for name in ("source", DOSE, "system", "run", "seed")}
         found += [run | {"breakage": k} | row for k, row in enumerate(summary["breakage_list"], start=1)]
     return pd.DataFrame(found)
 
 
 def rescues(found: pd.DataFrame) -> pd.DataFrame:
-    """Per source, system and cause: breakages of healthy maps; of these recovered, and by each thread.
+    """Per source, dose, system and cause: breakages of healthy maps; of these recovered, and by each thread.
 
     With the median and the 95th percentile of the time from a recovery's start to its fusion, s. Where views
     on either side overlap too little for any recovery by images, ``views`` is ``hopeless``, else ``shared``;
@@ -68,6 +69,6 @@ def rescues(found: pd.DataFrame) -> pd.DataFrame:
     healthy["views"] = [
         "unknown" if pd.isna(share) else "shared" if is_rescuable(share) else "hopeless" for share in overlap
     ]
-    groups = healthy.groupby(["source", "system", "cause", "views"])
+    groups = healthy.groupby(["source", DOSE, "system", "cause", "views"], dropna=False)
     sums, delay = groups[["breakages", *counted]].sum(), groups["to_fusion_s"]
     return sums.assign(to_fusion_s_median=delay.median(), to_fusion_s_p95=delay.quantile(0.95)).reset_index()

@@ -12,7 +12,8 @@ from dslab.experiments.runs.execution import RunRecord
 Row = dict[str, Any]
 
 CONTENT = "sequence_digest"
-KEY = (CONTENT, "system", "run")
+DOSE = "dose"
+KEY = (CONTENT, DOSE, "system", "run")
 STAGE = "stage_"
 """Start of the columns with the median CPU time of a stage, milliseconds."""
 ERROR = "error"
@@ -23,6 +24,8 @@ COLUMNS = {
     "source": ("string", "the sequence, as named"),
     "sequence": ("string", "its own name"),
     CONTENT: ("string", "hash of its images, times, camera and truth, or of the scenario"),
+    "stress": ("string", "the segments that were added"),
+    DOSE: ("Float64", "the value of theirs that is one of a series"),
     "system": ("string", "name of the system"),
     "run": ("Int64", "number of the run, from 0"),
     "seed": ("Int64", "seed of the system"),
@@ -108,7 +111,7 @@ def typed(rows: list[Row]) -> pd.DataFrame:
     stages = sorted({str(name) for row in rows for name in row if str(name).startswith(STAGE)})
     types = {name: kind for name, (kind, _) in COLUMNS.items()} | dict.fromkeys(stages, "Float64")
     table = pd.DataFrame(rows, columns=list(types))
-    table = table.astype(types).sort_values(["source", "system", "run"], kind="stable")
+    table = table.astype(types).sort_values(["source", DOSE, "system", "run"], kind="stable")
     return table.reset_index(drop=True)
 
 

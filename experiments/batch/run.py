@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from shutil import rmtree
 
@@ -12,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from dslab.experiments.batch.breakages import add_overlaps
-from dslab.experiments.batch.rows import CONTENT, ERROR, KEY, Row, figures_of, typed
+from dslab.experiments.batch.rows import CONTENT, DOSE, ERROR, KEY, Row, figures_of, typed
 from dslab.experiments.batch.spec import BatchSpec
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import Owner, ledger_of
@@ -95,7 +96,7 @@ def run_batch(
         spec: what to run.
         sources: its sequences, patterns written out.
         folder: of the results, absent or that of an earlier run with the same settings; more sequences,
-            systems and runs may be added.
+            doses, systems and runs may be added.
         workers: runs at a time. Systems that take frames in real time run alone, after the others.
         folders: of further descriptions of systems.
         progress: called with (step, runs done, runs in all).
@@ -180,7 +181,8 @@ def _frames(job: Job, scratch: Path) -> Sequence:
     spec = job.spec
     sequence = open_sequence(*job.scene, first_s=spec.first_s)
     if spec.stress:
-        sequence = degrade_sequence(sequence, spec.segments, spec.seed, scratch, colour=False)  # type: ignore[arg-type]
+        segments = spec.segments(job.about[DOSE])
+        sequence = degrade_sequence(sequence, segments, spec.seed, scratch, colour=False)  # type: ignore[arg-type]
     first = int(job.about["first_frame"])
     if first >= len(sequence):
         problem = f"run {job.about['run']} leaves out {first} of {len(sequence)} frames"
@@ -239,13 +241,16 @@ def _jobs(
     code, head, found = code_hash(), commit(), []
     digests = {name: system_digest(system) for name, system in systems.items()}
     for run in range(spec.runs):
-        for source, content in contents.items():
+        for (source, content), (dose, stress) in product(contents.items(), spec.stresses.items()):
             for named, system in systems.items():
-                place = f"{RUNS_DIR}/{Path(source).name}-{content[:12]}/{system.name}/{run:03d}"
+                at = f"{spec.series.field}={dose!r}/" if spec.series else ""
+                place = f"{RUNS_DIR}/{Path(source).name}-{content[:12]}/{at}{system.name}/{run:03d}"
                 about: Row = {
                     "source": source,
                     "sequence": Path(source).name,
                     CONTENT: content,
+                    "stress": "; ".join(stress),
+                    DOSE: dose,
                     "system": system.name,
                     "run": run,
                     "seed": spec.seed + (run if spec.vary in ("seeds", "scenes") else 0),

@@ -7,6 +7,7 @@ from typing import Any, Literal, Self
 
 from pydantic import Field, ValidationError, field_validator, model_validator
 
+from dslab.experiments.batch.doses import DoseSeries, dose_series
 from dslab.experiments.runs.execution import Mode, SystemFactory
 from dslab.experiments.runs.slam_settings import factory_of, parse_slam_settings
 from dslab.scenarios.errors import InputError
@@ -40,7 +41,9 @@ class BatchSpec(Strict):
         1, ge=1, description="frames that each further run leaves out, if the start varies"
     )
     first_s: float | None = Field(None, gt=0, description="seconds of each sequence; all of it if left out")
-    stress: tuple[str, ...] = Field((), description="segments, as those of `dslab degrade`")
+    stress: tuple[str, ...] = Field(
+        (), description="segments, as those of `dslab degrade`; a list as one value is a series of doses"
+    )
     seed: int = Field(0, ge=0, le=_MOST_SEED, description="root of all seeds")
     mode: Mode = Field("lockstep", description="schedule of our systems")
     real_time: bool = Field(
@@ -66,9 +69,18 @@ class BatchSpec(Strict):
         return self
 
     @property
-    def segments(self) -> list[SegmentBase]:
-        """The segments of the stress."""
-        return [parse_segment(text) for text in self.stress]
+    def series(self) -> DoseSeries | None:
+        """The doses of the stress; None for one stress, or none."""
+        return dose_series(self.stress)
+
+    @property
+    def stresses(self) -> dict[float | None, tuple[str, ...]]:
+        """The stress at each dose; at None if it has no series."""
+        return {**self.series.stresses} if self.series else {None: self.stress}
+
+    def segments(self, dose: float | None) -> list[SegmentBase]:
+        """The segments of the stress at a dose."""
+        return [parse_segment(text) for text in self.stresses[dose]]
 
     @property
     def build(self) -> SystemFactory:
@@ -78,8 +90,9 @@ class BatchSpec(Strict):
 
     @property
     def row_key(self) -> str:
-        """Hash of all that makes a row beside its sequence, system and run."""
-        return content_key(self.model_dump(mode="json", include=set(_OF_A_ROW)))
+        """Hash of all that makes a row beside its sequence, dose, system and run."""
+        pattern = self.series.pattern if self.series else self.stress
+        return content_key(self.model_dump(mode="json", include=set(_OF_A_ROW)) | {"stress": pattern})
 
 
 def read_batch(path: Path) -> tuple[BatchSpec, list[str]]:
@@ -100,9 +113,15 @@ def read_batch(path: Path) -> tuple[BatchSpec, list[str]]:
     parse_slam_settings(spec.settings, ("settings",), file.where)
     for place, text in enumerate(spec.stress):
         try:
-            parse_segment(text)
+            single = dose_series([text])
+            for stress in single.stresses.values() if single else [(text,)]:
+                parse_segment(*stress)
         except InputError as fault:
             raise InputError(file.where(("stress", place)), fault.problem, fault.remedy) from None
+    try:
+        dose_series(spec.stress)
+    except InputError as fault:
+        raise InputError(file.where(("stress",)), f"{fault.where} {fault.problem}", fault.remedy) from None
     return spec, _sources(file, spec)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.batch.rows import ERROR
+from dslab.experiments.batch.rows import DOSE, ERROR
 from dslab.experiments.comparison.left_runs import read_run
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined
@@ -25,12 +25,12 @@ def sums(rows: pd.DataFrame) -> pd.DataFrame:
     """Sum up the rows of :func:`experiments.batch.run.run_batch`.
 
     Returns:
-        Per ``source`` and ``system``: ``runs`` that were made, ``errors`` that were not, ``intact`` maps,
-        ``ended_badly``, ``breakages`` declared (missing if the system declares nothing), the sums of all that
-        was ``declared`` where there is a truth, of this ``false`` and ``unjudged``, and medians of MEDIANS
-        over the runs that have the figure.
+        Per ``source``, ``dose`` and ``system``: ``runs`` that were made, ``errors`` that were not, ``intact``
+        maps, ``ended_badly``, ``breakages`` declared (missing if the system declares nothing), the sums of
+        all that was ``declared`` where there is a truth, of this ``false`` and ``unjudged``, and medians of
+        MEDIANS over the runs that have the figure.
     """
-    groups = rows.groupby(["source", "system"], sort=False)
+    groups = rows.groupby(["source", DOSE, "system"], sort=False, dropna=False)
     return pd.DataFrame([_sum(own) for _, own in groups])
 
 
@@ -38,7 +38,7 @@ def _sum(own: pd.DataFrame) -> dict[str, Any]:
     made = own[own.ended != ERROR]
     says = made[made.declares.fillna("nothing") != "nothing"]
     return {
-        **{name: own[name].iloc[0] for name in ("source", "sequence", "system")},
+        **{name: own[name].iloc[0] for name in ("source", "sequence", DOSE, "system")},
         "runs": len(made),
         "errors": len(own) - len(made),
         "intact": int(made.intact.fillna(False).sum()),
@@ -65,13 +65,13 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
         folder: of the batch.
 
     Returns:
-        Per ``source``, ``run`` and further ``system``: ``ate_poses`` of its main map and ``first_ate_poses``
-        of the first system's, ``common_poses`` of both, over these ``common_ate_m`` and
+        Per ``source``, ``dose``, ``run`` and further ``system``: ``ate_poses`` of its main map and
+        ``first_ate_poses`` of the first system's, ``common_poses`` of both, over these ``common_ate_m`` and
         ``first_common_ate_m``, None where undefined, ``cpu_ms_median`` and ``first_cpu_ms_median`` of all
         frames, and ``true_path_m``. Empty for one system, or where no sequence has a truth.
     """
     found: list[dict[str, Any]] = []
-    for _, own in rows[rows.folder.notna()].groupby(["source", "run"], sort=False):
+    for _, own in rows[rows.folder.notna()].groupby(["source", DOSE, "run"], sort=False, dropna=False):
         source, run = own.source.iloc[0], int(own.run.iloc[0])
         if own.system.nunique() < 2 or not all(
             (folder / place / TRUTH_FILE).is_file() for place in own.folder
@@ -80,7 +80,13 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
         first, *others = [(row, read_run(folder / str(row.folder))) for row in own.itertuples()]
         path_m = metrics.path_length_m(first[1].T_world_cam)
         found += [
-            {"source": source, "run": run, "system": row.system, "true_path_m": path_m}
+            {
+                "source": source,
+                DOSE: own[DOSE].iloc[0],
+                "run": run,
+                "system": row.system,
+                "true_path_m": path_m,
+            }
             | {"cpu_ms_median": row.cpu_ms_median, "first_cpu_ms_median": first[0].cpu_ms_median}
             | _compared(other.pairs, first[1].pairs)
             for row, other in others

@@ -22,6 +22,8 @@ from dslab.experiments.cli.console import (
 if TYPE_CHECKING:
     import pandas as pd
 
+    from dslab.experiments.batch.doses import DoseSeries
+
 
 def batch_command(
     batch: Annotated[Path, typer.Argument(metavar="SPEC.yaml", help="The batch.")],
@@ -39,17 +41,21 @@ def batch_command(
     started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
     others. Writes runs.parquet and runs.csv, a row per run, pairs.csv, in which every further system
     stands beside the first one over the frames that both have placed, breakages.csv, a row per breakage,
-    tables in the layout of the paper's, its figures on request, and the result folder of each run. For
-    example:
+    tables in the layout of the paper's, its figures on request, and the result folder of each run. A stress
+    with a list of doses, as exposure_s=[0.02,0.05,0.1], is run at each; then dose_response.csv and a plot
+    have every system against the dose, and there are no tables as in the paper. For example:
 
     `dslab batch kitti.yaml --workers 2 --out out/kitti`
     """
     from dslab.experiments.batch.breakages import BREAKAGES_FILE, breakages, rescues
+    from dslab.experiments.batch.dose_figures import DOSE_FILE, DOSE_PLOT, write_dose_response
     from dslab.experiments.batch.paper_figures import FIGURES_DIR, write_figures
     from dslab.experiments.batch.paper_tables import TABLES_DIR, short_name, write_tables
     from dslab.experiments.batch.run import CSV_FILE, run_batch
     from dslab.experiments.batch.spec import read_batch
     from dslab.experiments.batch.table import PAIRS_FILE, pairs, sums
+    from dslab.experiments.cli.run_tables import dose_row
+    from dslab.experiments.comparison.dose_response import dose_axis, dose_table
     from dslab.sim.io.folders import write_file
 
     spec, sources = read_batch(batch)
@@ -59,24 +65,39 @@ def batch_command(
     rescued = rescues(broken)
     for name, table in ((PAIRS_FILE, beside), (BREAKAGES_FILE, broken)):
         write_file(out_dir / name, lambda path, table=table: table.to_csv(path, index=False))
-    write_tables(rows, out_dir)
-    drawn = write_figures(rows, out_dir) if figures else []
+    points = write_dose_response(rows, spec.series, out_dir) if spec.series else []
+    if not points:  # the paper has no doses
+        write_tables(rows, out_dir)
+    drawn = write_figures(rows, out_dir) if figures and not points else []
     if as_json:
-        tables = {"rows": found, "pairs": beside, "rescues": rescued}
+        tables = {"rows": found, "pairs": beside, "rescues": rescued} | (
+            {"dose_response": dose_table(points)} if points else {}
+        )
         print_json_line({name: _records(table) for name, table in tables.items()})
     else:
         out.print("medians over the runs")
-        for source, own in found.groupby("source", sort=False):
-            print_rows(map(_sum_row, _records(own)), short_name(str(source)))
+        for _, own in found.groupby(["source", "dose"], sort=False, dropna=False):
+            print_rows(map(_sum_row, _records(own)), short_name(own.source.iloc[0]) + _at(own, spec.series))
+        if points and spec.series:
+            print_rows(map(dose_row, points), f"against the dose: {dose_axis(*spec.series.about)}")
         if len(beside):
             print_rows(_beside(beside), f"over {rows.system.iloc[0]}, the same frames")
-        for source, own in rescued.groupby("source") if len(rescued) else ():
-            title = f"{Path(str(source)).name}: healthy maps that broke, and the threads that found back"
+        for _, own in rescued.groupby(["source", "dose"], dropna=False) if len(rescued) else ():
+            where = Path(own.source.iloc[0]).name + _at(own, spec.series)
+            title = f"{where}: healthy maps that broke, and the threads that found back"
             print_rows(map(_rescue_row, _records(own)), title)
         say(f"every run  {out_dir / CSV_FILE}, {PAIRS_FILE}, {BREAKAGES_FILE}")
         places = [out_dir / TABLES_DIR, *([out_dir / FIGURES_DIR] if drawn else [])]
-        say(f"as in the paper  {', '.join(map(str, places))}")
+        if points:
+            say(f"against the dose  {out_dir / FIGURES_DIR / DOSE_PLOT}.png, {DOSE_FILE}")
+        else:
+            say(f"as in the paper  {', '.join(map(str, places))}")
     _check_made(rows)
+
+
+def _at(own: "pd.DataFrame", series: "DoseSeries | None") -> str:
+    """The dose of some rows; empty without a series."""
+    return f", {series.label(float(own.dose.iloc[0]))}" if series else ""
 
 
 def _check_made(rows: "pd.DataFrame") -> None:

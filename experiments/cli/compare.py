@@ -33,11 +33,12 @@ def compare_command(
     """Compare finished runs: robustness, completeness, errors, breakages, times.
 
     Runs of one input stand side by side, several runs of a system with intervals. An input is its images,
-    times, camera, truth and stress, whatever its name. Writes index.html, with paths, errors over time and
-    stages, and comparison.json. For example:
+    times, camera, truth and stress, whatever its name. Inputs that differ in a dose are shown against it
+    too. Writes index.html, with paths, errors over time and stages, and comparison.json. For example:
 
     `dslab compare out/kitti --out out/kitti-page`
     """
+    from dslab.experiments.cli.run_tables import dose_row
     from dslab.experiments.comparison.page import PAGE_FILE, compare_runs
 
     content = compare_runs(folders, out_dir)
@@ -48,6 +49,8 @@ def compare_command(
         _rows(content),
         "means over the runs, and their 95 % intervals: none of one run, or of runs that are all alike",
     )
+    for series in content["dose_series"]:
+        print_rows(map(dose_row, series["points"]), f"against the dose: {series['axis']}")
     for sequence in content["sequences"]:
         for system in sequence["systems"]:
             say(f"{sequence['name']}, {system['name']}: {system['audit']}")

@@ -1,6 +1,7 @@
 """What happened in runs, as tables: figures, breakages, the audit against the truth."""
 
 from collections.abc import Mapping
+from typing import Any
 
 from rich.table import Table
 
@@ -122,6 +123,33 @@ def breakage_table(summaries: Mapping[str, dict]) -> Table:
             shown += [dict(zip(columns, words, strict=True))]
         shown += [{}]
     return table_of(shown, "Breakages")
+
+
+def dose_row(point: dict[str, Any]) -> dict[str, Any]:
+    """Figures of a system at a dose, a point of a dose–response, with their intervals."""
+
+    def cell(name: str, unit: str = "") -> str | None:
+        mean, low, high = (point[name][part] for part in ("mean", "low", "high"))
+        if mean is None:
+            return None
+        mean, low, high = (_short(value, unit) for value in (mean, low, high))
+        return f"{mean}{unit}" + (f"\n{low} - {high}" if low else "")
+
+    return {
+        "": point["system"],
+        "dose": f"{point['dose']:g}",
+        "runs": point["runs"],
+        "break": cell("broke", " %"),
+        "no intact\nmap": cell("failed", " %"),
+        "complete": cell("completeness", " %"),
+        "ATE m": cell("ate_m"),
+    }
+
+
+def _short(value: float | None, unit: str) -> str:
+    if value is None:
+        return ""
+    return f"{100 * value:.0f}" if unit else f"{value:.3g}"
 
 
 def _ending_text(summary: dict) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from dslab.experiments.comparison.dose_groups import dose_groups
 from dslab.experiments.comparison.identity import by_input, by_system
 from dslab.experiments.comparison.left_runs import LeftRun
 from dslab.experiments.evaluation import metrics
@@ -33,13 +34,14 @@ def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
     Returns:
         Per input its name, true path and systems; per system its figures with their ``Spread`` over its runs,
         what the audit found, the path, errors and stages of the run with the median robustness, and the share
-        of the path within each of ``thresholds``, the mean over the runs.
+        of the path within each of ``thresholds``, the mean over the runs. Inputs
+        that differ in a dose only are in ``dose_series`` too.
 
     Raises:
         InputError: a run does not say what it was given.
     """
-    sequences = []
-    for name, own in by_input(runs).items():
+    sequences, inputs = [], by_input(runs)
+    for name, own in inputs.items():
         first = own[0]
         sequences.append(
             {
@@ -49,7 +51,7 @@ def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
                 "systems": [_system(system, of) for system, of in by_system(own).items()],
             }
         )
-    return {"sequences": sequences, "thresholds": THRESHOLDS}
+    return {"sequences": sequences, "dose_series": dose_groups(inputs), "thresholds": THRESHOLDS}
 
 
 def _system(name: str, runs: list[LeftRun]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from dslab.experiments.comparison.dose_response import DOSE_FIGURES, draw_dose_response
 from dslab.experiments.comparison.figures import FIGURES, comparison_content
 from dslab.experiments.comparison.left_runs import find_runs
 from dslab.experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
@@ -42,9 +43,12 @@ def compare_runs(folders: list[Path], out_dir: Path) -> dict[str, Any]:
 def comparison_html(content: dict[str, Any]) -> str:
     """Write the HTML text: self-contained, without a script."""
     with settings():
+        series = [_dose_plot(one) for one in content["dose_series"]]
         plots = [_plots(sequence, content["thresholds"]) for sequence in content["sequences"]]
     filters = {"spread": spread_text}
-    return render_page(_TEMPLATES, filters, content=content, plots=plots, figures=FIGURES)
+    return render_page(
+        _TEMPLATES, filters, content=content, plots=plots, series=series, figures=FIGURES, doses=DOSE_FIGURES
+    )
 
 
 def spread_text(spread: dict[str, Any], digits: int = 3) -> str:
@@ -56,6 +60,11 @@ def spread_text(spread: dict[str, Any], digits: int = 3) -> str:
     if low is not None:
         return f"{mean} [{low}, {high}]"
     return f"{mean} (all alike)" if spread["reason"] == ALIKE else mean or "–"
+
+
+def _dose_plot(series: dict[str, Any]) -> Plot:
+    drawn = (draw_dose_response(series["points"], series["axis"], width) for width in (WIDE_IN, NARROW_IN))
+    return rendered("", f"Systems against {series['axis']}.", *drawn)
 
 
 def _plots(sequence: dict[str, Any], thresholds: Any) -> dict[str, Plot]:

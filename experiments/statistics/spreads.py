@@ -2,15 +2,15 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
 
-from dslab.experiments.statistics.world_intervals import share_interval, student
+from dslab.experiments.statistics.world_intervals import share_interval, student, wilson_interval
 
-Bounds = Literal["share", "amount"]
-"""A share is from 0 to 1, an amount from 0 up."""
+Bounds = Literal["share", "amount", "event"]
+"""A share is from 0 to 1, an amount from 0 up; an event is 0 or 1, or its share among several runs."""
 ALIKE = "all alike"
 """Why repeats that are equal have no interval."""
 SAME = 1e-9
@@ -38,13 +38,14 @@ class Spread:
 def spread_of(values: Iterable[float | None], bounds: Bounds) -> Spread:
     """Mean of a figure over runs, with the interval of 95 % that its spread gives.
 
-    Repeats that are all alike have no spread, which says nothing of other ones: there is no interval then.
+    Repeats that are all alike have no spread, which says nothing of other ones: there is no interval then,
+    but for events, whose spread follows from their share.
 
     Args:
         values: of each run, None where it lacks the figure.
         bounds: of the figure. The interval of a share is Wilson's, with as many trials as the spread of the
-            values is worth, p (1 - p) / error²; that of an amount is Student's, cut at 0, which no mean of
-            amounts is below. Neither leaves the bounds.
+            values is worth, p (1 - p) / error²; trials that have an event or not are counted. That of an
+            amount is Student's, cut at 0, which no mean of amounts is below. None leaves the bounds.
 
     Source: Wilson 1927; trials as in Korn and Graubard 1998, "Confidence intervals for proportions with small
         expected number of positive counts estimated from survey data", there by the design effect.
@@ -56,9 +57,12 @@ def spread_of(values: Iterable[float | None], bounds: Bounds) -> Spread:
     mean = float(known.mean())
     if len(known) == 1:
         return Spread(mean, None, None, "one run", kept)
-    if float(np.ptp(known)) <= SAME * float(np.abs(known).max()):
+    if bounds != "event" and float(np.ptp(known)) <= SAME * float(np.abs(known).max()):
         return Spread(mean, None, None, ALIKE, kept)
-    if bounds == "share":
+    if bounds == "event" and set(known) <= {0.0, 1.0}:
+        found = wilson_interval(mean, len(known), inf)
+        return Spread(mean, found.low, found.high, "", kept)
+    if bounds != "amount":
         found = share_interval(np.clip(known, 0.0, 1.0))
         return Spread(mean, found.low, found.high, "", kept)
     half = student(len(known) - 1) * float(known.std(ddof=1)) / sqrt(len(known))

@@ -46,8 +46,8 @@ def share_interval(share: Figure | Floats) -> Interval:
     return wilson_interval(p, trials, worlds)
 
 
-def wilson_interval(p: float, trials: float, worlds: int) -> Interval:
-    """Wilson's interval of a share of so many trials, with Student's t of the worlds, 2 or more."""
+def wilson_interval(p: float, trials: float, worlds: float) -> Interval:
+    """Wilson's interval of a share of so many trials, with Student's t of the worlds, 2 or more, or inf."""
     z2 = student(worlds - 1) ** 2
     middle = (p + z2 / (2 * trials)) / (1 + z2 / trials)
     half = sqrt(z2 * (p * (1 - p) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)

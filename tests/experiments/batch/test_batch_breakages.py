@@ -57,14 +57,15 @@ def test_a_map_that_went_wrong_before_it_broke_is_not_healthy():
 
 
 def test_sums_are_of_healthy_maps_by_cause():
-    row = {"source": "a", "system": "dual", "segment": "fog", "healthy": True, "thread_2": None}
+    row = {"source": "a", "dose": 0.5, "system": "dual", "segment": "fog", "healthy": True, "thread_2": None}
     none = {"recovered": False, "thread_1": None, "false_fusion": None, "to_fusion_s": None}
     right = {"recovered": True, "thread_1": True, "false_fusion": True, "to_fusion_s": 0.4}
     rows = [right, none, right | {"healthy": False, "to_fusion_s": 2}, none | {"healthy": None}]
     (found,) = rescues(pd.DataFrame([row | other for other in rows])).to_dict("records")
     assert found == {
-        "source": "a", "system": "dual", "cause": "fog", "views": "unknown", "breakages": 2, "recovered": 1,
-        "thread_1": 1, "thread_2": 0, "false_fusion": 1, "to_fusion_s_median": 0.4, "to_fusion_s_p95": 0.4,
+        "source": "a", "dose": 0.5, "system": "dual", "cause": "fog", "views": "unknown", "breakages": 2,
+        "recovered": 1, "thread_1": 1, "thread_2": 0, "false_fusion": 1, "to_fusion_s_median": 0.4,
+        "to_fusion_s_p95": 0.4,
     }  # fmt: skip
 
 
@@ -82,7 +83,10 @@ def test_overlap_is_of_frames_without_stress_that_a_recovery_has(monkeypatch):
     add_overlaps(run, found, "its scenario")
     assert asked == [("its scenario", list(range(90, 150)), list(range(181, 300)))]
     assert row["view_overlap"] == 0.1
-    rows = [row | {"source": "a", "system": "dual", "view_overlap": share} for share in (0.1, 0.3, 0.5)]
+    rows = [
+        row | {"source": "a", "dose": None, "system": "dual", "view_overlap": share}
+        for share in (0.1, 0.3, 0.5)
+    ]
     sums = rescues(pd.DataFrame(rows))
     assert dict(zip(sums.views, sums.breakages, strict=True)) == {"hopeless": 1, "shared": 2}
 
@@ -91,7 +95,7 @@ def test_breakages_are_read_from_the_runs_that_have_any(tmp_path):
     for name, run in (("broken", record(recovers=False)), ("whole", record(breaks_at=None))):
         (tmp_path / name).mkdir()
         (tmp_path / name / "summary.json").write_text(to_json(summarise(run)))
-    about = {"source": "a", "system": "dual", "run": 0, "seed": 7}
+    about = {"source": "a", "dose": None, "system": "dual", "run": 0, "seed": 7}
     runs = [("broken", 1), ("whole", 0), ("died", None)]
     rows = pd.DataFrame([about | {"folder": name, "breakages": count} for name, count in runs])
     found = breakages(rows, tmp_path)

@@ -1,0 +1,47 @@
+"""The systems of a batch against the doses of its stress, as a table and a plot."""
+
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from dslab.experiments.batch.doses import DoseSeries
+from dslab.experiments.batch.paper_figures import FIGURES_DIR
+from dslab.experiments.batch.rows import CONTENT, ERROR
+from dslab.experiments.comparison.dose_response import (
+    dose_axis,
+    dose_response,
+    dose_table,
+    draw_dose_response,
+)
+from dslab.experiments.report.plots.draw import rendered
+from dslab.experiments.report.plots.style import WIDE_IN, settings
+from dslab.sim.io.folders import write_file
+
+DOSE_FILE, DOSE_PLOT = "dose_response.csv", "dose_response"
+
+
+def write_dose_response(rows: pd.DataFrame, series: DoseSeries, folder: Path) -> list[dict[str, Any]]:
+    """Write every system against the dose, as a table and a plot, into the folder of a batch.
+
+    Args:
+        rows: of :func:`experiments.batch.run.run_batch`.
+        series: of its spec.
+        folder: of the batch.
+
+    Returns:
+        The points, see :func:`experiments.comparison.dose_response.dose_response`.
+    """
+    made = rows[rows.ended != ERROR]
+    table = made.astype(object).where(made.notna(), None).assign(sequence=made[CONTENT])
+    points = dose_response(table.to_dict("records"))
+    if not points:
+        return []
+    write_file(folder / DOSE_FILE, lambda path: dose_table(points).to_csv(path, index=False))
+    place = folder / FIGURES_DIR
+    place.mkdir(exist_ok=True)
+    with settings():
+        plot = rendered(DOSE_PLOT, "", draw_dose_response(points, dose_axis(*series.about), WIDE_IN))
+    for form, content in (("svg", plot.svg), ("png", plot.png)):
+        write_file(place / f"{DOSE_PLOT}.{form}", lambda path, content=content: path.write_bytes(content))
+    return points
