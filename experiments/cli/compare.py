@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from dslab.experiments.cli.console import FolderOption, JsonOption, print_json_line, print_rows, say
+from dslab.experiments.cli.console import FolderOption, JsonOption, out, print_json_line, print_rows, say
 
 _FIGURES = {
     "robustness": "robust-\nness",
@@ -45,10 +45,9 @@ def compare_command(
     if as_json:
         print_json_line(content)
         return
-    print_rows(
-        _rows(content),
-        "means over the runs, and their 95 % intervals: none of one run, or of runs that are all alike",
-    )
+    out.print("means over the runs, and 95 % intervals: none of one run, or of runs that are all alike")
+    for sequence in content["sequences"]:
+        print_rows(_rows(sequence), sequence["name"])
     for series in content["dose_series"]:
         print_rows(map(dose_row, series["points"]), f"against the dose: {series['axis']}")
     for sequence in content["sequences"]:
@@ -57,23 +56,20 @@ def compare_command(
     say(f"page  {out_dir / PAGE_FILE}")
 
 
-def _rows(content: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for sequence in content["sequences"]:
-        yield _row(sequence["name"])
-        for system in sequence["systems"]:
-            spreads = [system["figures"][name] for name in _FIGURES]
-            yield _row(system["name"], system["runs"], [_number(of["mean"]) for of in spreads])
-            if any(of["low"] is not None for of in spreads):
-                yield _row("  95 %, from", "", [_number(of["low"]) for of in spreads])
-                yield _row("  to", "", [_number(of["high"]) for of in spreads])
-        yield {}
+def _rows(sequence: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for system in sequence["systems"]:
+        spreads = [system["figures"][name] for name in _FIGURES]
+        yield _row(system["name"], system["runs"], [_number(of["mean"]) for of in spreads])
+        if any(of["low"] is not None for of in spreads):
+            yield _row("  95 %, from", "", [_number(of["low"]) for of in spreads])
+            yield _row("  to", "", [_number(of["high"]) for of in spreads])
 
 
-def _row(name: str, runs: int | str = "", cells: Many[str | None] | None = None) -> dict[str, Any]:
+def _row(name: str, runs: int | str, cells: Many[str | None]) -> dict[str, Any]:
     return {
         "": name,
         "runs": runs,
-        **dict(zip(_FIGURES.values(), cells or [""] * len(_FIGURES), strict=True)),
+        **dict(zip(_FIGURES.values(), cells, strict=True)),
     }
 
 

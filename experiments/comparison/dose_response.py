@@ -13,6 +13,7 @@ from matplotlib.lines import Line2D
 from dslab.experiments.pictures.labels import label
 from dslab.experiments.pictures.palette import system_color
 from dslab.experiments.report.plots.style import (
+    NARROW_IN,
     bars,
     legend_above,
     log_ticks,
@@ -102,7 +103,8 @@ def draw_dose_response(points: list[dict[str, Any]], axis: str, width_in: float)
         else:
             axes.set_ylim(-0.04, 1.04)
             percent_axis(axes.yaxis)
-    figure.supxlabel(label(f"{axis}; bars: 95 % over {_sample(points)}"), fontsize=9)
+    between = "; " if width_in > NARROW_IN else "\n"
+    figure.supxlabel(label(f"{axis}{between}bars: 95 % over {_sample(points)}"), fontsize=9)
     handles = [
         Line2D([], [], color=system_color(s, i), marker=_MARKS[i % len(_MARKS)], label=label(s))
         for i, s in enumerate(systems)

@@ -25,7 +25,10 @@ FIGURES = {
 }
 """Figures of a system and their labels."""
 THRESHOLDS = np.geomspace(LEAST / 3, MOST * 3, 61)
-_SHARES = ("robustness", "completeness", "path_share")
+BOUNDS: dict[str, Bounds] = {
+    name: "share" if name in ("robustness", "completeness", "path_share") else "amount" for name in FIGURES
+}
+"""What each figure is of."""
 
 
 def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:
@@ -64,7 +67,7 @@ def _system(name: str, runs: list[LeftRun]) -> dict[str, Any]:
         "runs": len(runs),
         "audit": runs_text([run.summary for run in runs]),
         "figures": {
-            figure: asdict(spread_of([own[figure] for own in values], _bounds(figure))) for figure in FIGURES
+            figure: asdict(spread_of([own[figure] for own in values], BOUNDS[figure])) for figure in FIGURES
         },
         "within": np.mean(within, axis=0),
         "stages": _stages_ms(shown.summary),
@@ -91,10 +94,6 @@ def _figures(run: LeftRun) -> dict[str, float | None]:
         "breakages": summary.get("breakages") if says else None,
         "cpu_ms_median": summary.get("cpu_ms_median"),
     }
-
-
-def _bounds(figure: str) -> Bounds:
-    return "share" if figure in _SHARES else "amount"
 
 
 def _path(run: LeftRun) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from dslab.scenarios.yaml_file import field_path
 Count = Annotated[int, Field(ge=0)]
 # No run has more metres, degrees or milliseconds, and sums of so many are still finite.
 Amount = Annotated[float, Field(ge=0, le=1e12)]
+# No field of a stress is larger either, and so many can be drawn.
+_Dose = Annotated[float, Field(ge=-1e12, le=1e12)]
 # Sums of parts may exceed the whole by rounding.
 Share = Annotated[float, Field(ge=0, le=1 + 1e-9)]
 
@@ -79,7 +81,7 @@ class _Segment(_Part):
     kind: str
     start_s: float
     end_s: float
-    severity: dict[str, Any]
+    severity: dict[str, _Dose | str | bool | list[Any] | None]
 
 
 class _Summary(_Part):

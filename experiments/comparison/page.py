@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from dslab.experiments.comparison.dose_response import DOSE_FIGURES, draw_dose_response
-from dslab.experiments.comparison.figures import FIGURES, comparison_content
+from dslab.experiments.comparison.figures import BOUNDS, FIGURES, comparison_content
 from dslab.experiments.comparison.left_runs import find_runs
 from dslab.experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
 from dslab.experiments.pages import render_page
 from dslab.experiments.report.plots.draw import Plot, rendered
 from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from dslab.experiments.runs.files import plain, to_json
-from dslab.experiments.statistics.spreads import ALIKE
+from dslab.experiments.statistics.spreads import ALIKE, Bounds
 from dslab.sim.io.folders import check_free, new_directory
 
 PAGE_FILE, FIGURES_FILE = "index.html", "comparison.json"
@@ -45,21 +45,23 @@ def comparison_html(content: dict[str, Any]) -> str:
     with settings():
         series = [_dose_plot(one) for one in content["dose_series"]]
         plots = [_plots(sequence, content["thresholds"]) for sequence in content["sequences"]]
+    tables = {"figures": FIGURES, "bounds": BOUNDS, "doses": DOSE_FIGURES}
     filters = {"spread": spread_text}
-    return render_page(
-        _TEMPLATES, filters, content=content, plots=plots, series=series, figures=FIGURES, doses=DOSE_FIGURES
-    )
+    return render_page(_TEMPLATES, filters, content=content, plots=plots, series=series, **tables)
 
 
-def spread_text(spread: dict[str, Any], digits: int = 3) -> str:
+def spread_text(spread: dict[str, Any], bounds: Bounds = "amount") -> str:
     """A mean and the ends of its interval, or that there is no spread; a dash without a mean."""
-    mean, low, high = (
-        None if end is None else f"{end:.{digits}g}"
-        for end in (spread["mean"], spread["low"], spread["high"])
-    )
-    if low is not None:
+    mean, low, high = (_written(spread[end], bounds) for end in ("mean", "low", "high"))
+    if spread["low"] is not None:
         return f"{mean} [{low}, {high}]"
-    return f"{mean} (all alike)" if spread["reason"] == ALIKE else mean or "–"
+    return f"{mean} (all alike)" if spread["reason"] == ALIKE else mean
+
+
+def _written(value: float | None, bounds: Bounds) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.3g}" if bounds == "amount" else f"{100 * value:.3g} %"
 
 
 def _dose_plot(series: dict[str, Any]) -> Plot:

@@ -69,7 +69,9 @@ def draw_stages(sequence: dict[str, Any], width_in: float) -> Figure:
     shades = np.linspace(0.25, 0.85, max(2, len(stages)))
     for stage, shade in zip(stages, shades, strict=False):
         times = np.array([system["stages"].get(stage) or 0.0 for system in systems])
-        axes.barh(rows, times, left=left, color=str(shade), edgecolor="white", label=label(stage))
+        axes.barh(
+            rows, times, left=left, color=str(shade), edgecolor="white", label=label(stage.replace("_", " "))
+        )
         left += times
     axes.set_yticks(rows, [label(system["name"]) for system in systems])
     axes.invert_yaxis()

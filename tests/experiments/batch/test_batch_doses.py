@@ -115,6 +115,9 @@ def test_doses_are_added_and_stand_in_table_and_plot(folder, tmp_path, dslab):
     (series,) = json.loads(said)["dose_series"]
     assert series["axis"] == "motion blur, exposure in s"
     assert [point["completeness"]["mean"] for point in series["points"]] == table.completeness.tolist()
+    page = (tmp_path / "page" / "index.html").read_text()
+    assert page.count("<figure>") == 1 + 2 * 4 and page.count('id="input') == page.count('href="#input') == 2
+    assert 'href="#dose1"' in page and '<td data-label="completeness">100 % (all alike)</td>' in page
 
 
 def test_points_are_of_runs_or_of_many_sequences():

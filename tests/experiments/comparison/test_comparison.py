@@ -144,6 +144,8 @@ def test_what_is_no_run_is_one_line(runs, tmp_path, dslab):
         ("stages", {"a\nb": {"frames": 3, "cpu_ms_median": 1e308}}),
         ("audit", {}),
         ("breakage_list", [{"frame": 3}]),
+        ("segments", [{"kind": "fog", "start_s": 0.0, "end_s": 1.0, "severity": {"density": 1e300}}]),
+        ("input", {"images": 3}),
     ],
 )
 def test_a_summary_that_was_damaged_is_one_line(runs, tmp_path, dslab, field, value):
