@@ -56,6 +56,7 @@ def batch_command(
     from dslab.experiments.batch.table import PAIRS_FILE, pairs, sums
     from dslab.experiments.cli.run_tables import dose_row
     from dslab.experiments.comparison.dose_response import dose_axis, dose_table
+    from dslab.scenarios.errors import notice
     from dslab.sim.io.folders import write_file
 
     spec, sources = read_batch(batch)
@@ -68,6 +69,8 @@ def batch_command(
     points = write_dose_response(rows, spec.series, out_dir) if spec.series else []
     if not points:  # the paper has no doses
         write_tables(rows, out_dir)
+    if figures and points:
+        notice("--figures", "the paper has no doses: its figures are of batches without a list of them")
     drawn = write_figures(rows, out_dir) if figures and not points else []
     if as_json:
         tables = {"rows": found, "pairs": beside, "rescues": rescued} | (
