@@ -160,7 +160,7 @@ def _print_systems_of(folder: Path) -> None:
     from dslab.experiments.report.systems import beside_each_other, sham_warnings
 
     spec, table = read_experiment(folder)
-    print_warnings(sham_warnings(table, len(spec.threads)))
+    print_warnings(sham_warnings(table, len(spec.threads), folder))
     if beside := beside_each_other(spec, table):
         print_systems(beside, conditions(spec))
 

@@ -86,10 +86,11 @@ def systems_answer(beside: dict[str, Any]) -> tuple[str, list[str]]:
             surely = pair["p"] is not None and pair["p"] <= LEVEL
             than = "less" if pair["difference"] < 0 else "more"
             verdict = f"fails {than} often than" if surely else "is not told from"
-            points = 100 * pair["difference"]
+            points, p = 100 * pair["difference"], p_value(pair["p"])
+            p = p if p.startswith("<") else f"= {p}"
             sentences.append(
                 f"{pair['first']} {verdict} {pair['second']} ({pair['world'].replace('_', ' ')}: "
-                f"{points:+.1f} points over {plural(pair['worlds'], 'world')}, p {p_value(pair['p'])})."
+                f"{points:+.1f} points over {plural(pair['worlds'], 'world')}, p {p})."
             )
     return f"Missions that fail under stress: {'; '.join(each)}.", sentences
 

@@ -73,7 +73,7 @@ def report_content(
         "conditions": conditions(spec),
         "units": units,
         "worlds_of_kinds": outcomes.worlds_of_kinds(table),
-        "warnings": _warnings(units, whole, threads),
+        "warnings": _warnings(units, whole, threads, folder),
         "systems": beside_each_other(spec, whole),
         "analysis": analysis,
         "lengths": _lengths(table),
@@ -117,8 +117,8 @@ def _about(spec: "ExperimentSpec") -> dict[str, Any]:
     }
 
 
-def _warnings(units: dict[str, Any], table: pd.DataFrame, threads: int) -> list[str]:
-    warnings = sham_warnings(table, threads)
+def _warnings(units: dict[str, Any], table: pd.DataFrame, threads: int, folder: Path) -> list[str]:
+    warnings = sham_warnings(table, threads, folder)
     if units["missing"]:
         warnings.append(
             f"{units['missing']} of {units['planned']} planned trials are not recorded: figures will change."

@@ -1,5 +1,7 @@
 """Systems beside each other: shares of each, paired differences, and what each says of itself."""
 
+import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
@@ -58,13 +60,19 @@ def beside_each_other(spec: "ExperimentSpec", table: pd.DataFrame) -> dict[str, 
     }
 
 
-def sham_warnings(table: pd.DataFrame, threads: int) -> list[str]:
+def sham_warnings(table: pd.DataFrame, threads: int, folder: Path) -> list[str]:
     """Warn of systems that fail without stress, or of which no unit counts.
 
     Args:
         table: records of all systems.
         threads: number of recovery threads of the experiment.
+        folder: of the experiment, for commands that replay units.
     """
+
+    def first(rows: pd.DataFrame) -> str:
+        unit = shlex.quote(f"{rows['cell'].iloc[0]}:{rows['index'].iloc[0]}")
+        return f"See one: dslab experiment replay {shlex.quote(str(folder))} {unit}"
+
     warnings = []
     for name, rows in table.groupby("system", sort=False):
         done, void = completed(rows), rows_where(rows, rows["outcome"] == Outcome.VOID)
@@ -72,7 +80,7 @@ def sham_warnings(table: pd.DataFrame, threads: int) -> list[str]:
             reason = next(iter(counted(void["void_reason"])), "no reason given")
             warnings.append(
                 f"Nothing is known of {name}: all its {len(void)} trials are void, most for: {reason}. "
-                f"See one: dslab experiment replay DIR {void['cell'].iloc[0]}:{void['index'].iloc[0]}."
+                f"{first(void)}"
             )
         shams = rows_where(done, done["kind"] == SHAM)
         failed = rows_where(shams, is_true(shams["breakage"]) | is_true(shams[failure_column("m", threads)]))
@@ -82,7 +90,7 @@ def sham_warnings(table: pd.DataFrame, threads: int) -> list[str]:
             warnings.append(
                 f"{name} fails without stress in {len(failed)} of {len(shams)} trials{why}: "
                 "what it does under stress is not the stress's alone. "
-                f"See one: dslab experiment replay DIR {failed['cell'].iloc[0]}:{failed['index'].iloc[0]}."
+                f"{first(failed)}"
             )
     return warnings
 

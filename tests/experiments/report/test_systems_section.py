@@ -1,6 +1,7 @@
 """Systems beside each other on the page of an experiment."""
 
 import re
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -101,16 +102,17 @@ def test_a_run_of_the_free_arm_alone_has_no_figure_of_eq1(tmp_path):
 
 def test_a_system_that_fails_without_stress_or_of_which_nothing_counts_is_named(two):
     table = two.table.copy()
-    assert sham_warnings(table, 2) == []
+    assert sham_warnings(table, 2, Path("out/x")) == []
     own = table["cell"].str.endswith("/Own").to_numpy(bool)
     sham = own & table["cell"].str.startswith("motion_blur/1").to_numpy(bool)
     table["system"] = ["Own" if foreign else "dual" for foreign in own]
     table.loc[sham, ["kind", "breakage", "breakage_reason"]] = ["sham", True, "no_pose"]
     count = (table[sham].outcome == "completed").sum()
-    (warning,) = sham_warnings(table, 2)
+    (warning,) = sham_warnings(table, 2, Path("out/x"))
     assert warning.startswith(f"Own fails without stress in {count} of {count} trials, most for: no pose: ")
+    assert re.search(r"See one: dslab experiment replay out/x motion_blur/1/Own:\d+$", warning)
     table.loc[own, ["outcome", "void_reason"]] = ["void", "no map"]
-    (warning,) = sham_warnings(table, 2)
+    (warning,) = sham_warnings(table, 2, Path("out/x"))
     assert warning.startswith("Nothing is known of Own: all its 72 trials are void, most for: no map. See")
 
 
