@@ -30,7 +30,7 @@ def view_command(
     if web:
         _serve(recording)
         return
-    stamp_s = at if at is not None else _first_breakage_s(recording.parent)
+    stamp_s = at if at is not None else _first_breakage_s(recording)
     from dslab.experiments.recording import open_viewer
 
     try:
@@ -50,12 +50,16 @@ def _serve(recording: Path) -> None:
             raise MachineError("rerun viewer", "does not start", f"try: rerun {recording} --serve-web")
 
 
-def _first_breakage_s(folder: Path) -> float:
-    """Time of the first breakage in the summaries beside the recording and one folder below, else 0."""
+def _first_breakage_s(recording: Path) -> float:
+    """Time of the first breakage in the summaries beside a recording and one folder below, else in itself."""
+    from dslab.experiments.recording import recorded_breakage_s
     from dslab.experiments.result_folder import SUMMARY_FILE
     from dslab.scenarios.input_files import is_given, read_json
 
+    folder = recording.parent
     places = [folder / SUMMARY_FILE, *sorted(folder.glob(f"*/{SUMMARY_FILE}"))]
+    if not any(map(is_given, places)):
+        return recorded_breakage_s(recording)
     summaries = {str(path): read_json(path, dict) for path in places if is_given(path)}
     found = [stamp_s for where, summary in summaries.items() for stamp_s in _breakages_s(where, summary)]
     return float(min(found, default=0.0))

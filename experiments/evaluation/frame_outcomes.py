@@ -22,8 +22,8 @@ def frame_outcomes(record: RunRecord) -> list[FrameOutcome]:
     """Outcome of each frame.
 
     A frame after a breakage, or a cut, that was not tracked live and has a final pose was posed by the
-    recovery that went back over it, if maps were fused later. Else it was posed by initialization, which poses
-    the frames between its two views, and counts as tracked. A frame of a dropped map has no pose.
+    recovery that went back over it, if maps were fused later. Else it was posed by initialization, which
+    poses the frames between its two views, and counts as tracked. A frame of a dropped map has no pose.
     """
     posed = posed_frames(record)
     first = min((e.frame for e in record.events if isinstance(e, Breakage | MapCut)), default=len(posed))

@@ -6,6 +6,6 @@ import os
 os.environ.setdefault("RUST_LOG", "off")
 
 from dslab.experiments.recording.recorder import Recording, SystemRecorder
-from dslab.experiments.recording.viewer import open_viewer
+from dslab.experiments.recording.viewer import open_viewer, recorded_breakage_s
 
-__all__ = ["Recording", "SystemRecorder", "open_viewer"]
+__all__ = ["Recording", "SystemRecorder", "open_viewer", "recorded_breakage_s"]

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dslab.experiments.recording.drawing import INJECTED, SYSTEMS
+from dslab.experiments.recording.lanes import INJECTED, SYSTEMS
 from dslab.experiments.recording.stream import part
 from dslab.experiments.recording.viewpoint import Viewpoint
 from dslab.experiments.runs.execution import RunRecord

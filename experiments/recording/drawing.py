@@ -22,9 +22,6 @@ from dslab.experiments.runs.execution import RunRecord
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.events import Breakage
 
-INJECTED, SYSTEMS = "injected", "slam"
-"""Paths of the lanes of segments and of systems, in this order in the viewer."""
-
 _STEP_S = 0.5
 _MOST_DOTS = 60
 _ASIDE, _LABEL_ASIDE = 0.2, 0.1

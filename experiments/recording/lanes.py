@@ -7,9 +7,14 @@ from dslab.experiments.evaluation.audit_text import silent_losses
 from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.recording import palette
 from dslab.experiments.recording.palette import Color
-from dslab.experiments.recording.stories import Story, stories
+from dslab.experiments.recording.stories import CUT, Story, stories
 from dslab.experiments.runs.execution import RunRecord
 from dslab.slam.core.events import CANCELLED, RecoveryEnd, RecoveryStart
+
+INJECTED, SYSTEMS = "injected", "slam"
+"""Paths of the lanes of segments and of systems, in this order in the viewer."""
+BREAKAGES, BROKEN = "breakages", "broken"
+"""Lane of the moments of breakages and cuts, and its value at a breakage."""
 
 
 @dataclass
@@ -81,10 +86,10 @@ def _states(record: RunRecord) -> Lane:
 
 def _breakages(record: RunRecord) -> list[Lane]:
     """Lanes of the moments of breakages and cuts, and of those at which something became of them."""
-    broken, mended = Lane("breakages"), Lane("repairs")
+    broken, mended = Lane(BREAKAGES), Lane("repairs")
     ends: dict[int, Story] = {}
     for story in sorted(stories(record), key=lambda story: story.frame):
-        broken.mark(story.frame, "cut" if story.name == "cut" else "broken", palette.LOST)
+        broken.mark(story.frame, CUT if story.name == CUT else BROKEN, palette.LOST)
         if story.end is not None:
             ends.setdefault(story.end, story)
     for frame, story in sorted(ends.items()):

@@ -13,15 +13,13 @@ from dslab.experiments.evaluation.summary import is_tracked
 from dslab.experiments.recording import palette
 from dslab.experiments.recording.blueprint import make_blueprint, world_aspect
 from dslab.experiments.recording.drawing import (
-    INJECTED,
-    SYSTEMS,
     MapSnapshot,
     RunDrawing,
     draw_lane,
     draw_truth,
 )
 from dslab.experiments.recording.key import draw_key
-from dslab.experiments.recording.lanes import segment_lanes, system_lanes
+from dslab.experiments.recording.lanes import INJECTED, SYSTEMS, segment_lanes, system_lanes
 from dslab.experiments.recording.paths import thin
 from dslab.experiments.recording.stream import Stream, part
 from dslab.experiments.recording.viewpoint import viewpoint

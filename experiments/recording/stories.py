@@ -6,6 +6,8 @@ from dslab.experiments.evaluation.breakages import BreakageOutcome, breakage_out
 from dslab.experiments.runs.execution import RunRecord
 from dslab.slam.core.events import Fusion, MapCut, Relocalized
 
+CUT = "cut"
+"""Name of a cut on request."""
 _DROPPED = "map dropped"
 
 
@@ -49,7 +51,7 @@ def stories(record: RunRecord) -> list[Story]:
 def _cut(cut: MapCut, record: RunRecord) -> Story:
     fused = [e.frame for e in record.events if isinstance(e, Fusion) and e.accepted]
     end = min((frame for frame in fused if frame >= cut.frame), default=None)
-    return Story("cut", cut.frame, end, "" if end is None else "fused")
+    return Story(CUT, cut.frame, end, "" if end is None else "fused")
 
 
 def _story(name: str, outcome: BreakageOutcome) -> Story:

@@ -9,6 +9,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from dslab.experiments.recording.lanes import BREAKAGES, BROKEN, SYSTEMS
+from dslab.experiments.recording.stories import CUT
+
+
+def recorded_breakage_s(path: Path) -> float:
+    """Time of the first breakage in a recording, else of its first cut; 0 without either or if damaged."""
+    from rerun.chunk import RrdReader
+
+    times_s: dict[str, list[float]] = {}
+    try:
+        for chunk in RrdReader(path).stream():
+            under, _, lane = chunk.entity_path.rpartition("/")
+            if under.startswith(f"/{SYSTEMS}/") and lane == BREAKAGES and not chunk.is_static:
+                columns = chunk.to_record_batch().to_pydict()
+                for time, states in zip(columns["time"], columns["StateChange:state"], strict=True):
+                    times_s.setdefault(states[0], []).append(time.total_seconds())
+    except RuntimeError:  # the viewer says what is wrong
+        return 0.0
+    return min(times_s.get(BROKEN) or times_s.get(CUT) or [0.0])
+
 
 def open_viewer(path: Path, stamp_s: float) -> None:
     """Open a recording in the viewer, paused at a time; the viewer outlives this process.

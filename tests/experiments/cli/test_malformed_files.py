@@ -179,11 +179,13 @@ def test_a_malformed_summary_is_one_line(refused, tmp_path, text):
 
 
 def test_a_recording_opens_at_the_first_of_all_breakages(tmp_path):
-    assert _first_breakage_s(tmp_path) == 0.0
+    recording = tmp_path / "recording.rrd"
+    recording.write_text("")
+    assert _first_breakage_s(recording) == 0.0
     (tmp_path / "summary.json").write_text('{"breakage_list": []}')
-    assert _first_breakage_s(tmp_path) == 0.0
+    assert _first_breakage_s(recording) == 0.0
     for system, stamps_s in {"base": [5, 2.5], "dual": []}.items():
         (tmp_path / system).mkdir()
         listed = {"breakage_list": [{"time_s": stamp_s} for stamp_s in stamps_s]}
         (tmp_path / system / "summary.json").write_text(json.dumps(listed))
-    assert _first_breakage_s(tmp_path) == 2.5
+    assert _first_breakage_s(recording) == 2.5

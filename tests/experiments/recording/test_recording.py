@@ -151,6 +151,19 @@ def test_the_viewer_opens_at_the_breakage_as_counted_from_the_first_frame(dslab,
     assert dslab("view", tmp_path)[0] == 0 and opened == [4.5]
 
 
+def test_a_recording_alone_is_opened_at_its_breakage_and_a_damaged_one_at_the_start(
+    dslab, monkeypatch, tmp_path
+):
+    opened, sequence = [], make_sequence()
+    monkeypatch.setattr("dslab.experiments.recording.open_viewer", lambda path, at: opened.append(at))
+    with Recording(tmp_path / "unit.rrd", sequence, ["base"]) as recording:
+        build = fake_factory(sequence, breaks_at=160)
+        recording.finish([execute(sequence, "base", 0, recording.watch("base"), build=build)])
+    (tmp_path / "damaged.rrd").write_bytes(b"RRF")
+    assert [dslab("view", tmp_path / f"{name}.rrd")[0] for name in ("unit", "damaged")] == [0, 0]
+    assert opened == [pytest.approx(160 / 30), 0.0]
+
+
 def test_without_truth_there_is_no_true_path(tmp_path):
     sequence = make_sequence(100, truth=True, segment=None)
     blind = replace(sequence, T_world_cam=None)
