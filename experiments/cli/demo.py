@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from dslab.experiments.statistics.judged import JudgedCell
 
 SCENARIO, SEED = "demo", 4
+"""Both stood before the first run; what it shows stands in docs/first-steps.md."""
 EXPERIMENT = "demo"
 """Preset whose units it runs."""
 

@@ -24,6 +24,9 @@ from dslab.scenarios.errors import InputError
 from dslab.scenarios.loading import load_scenario
 
 
+DOSES = Path(__file__).parents[3] / "docs" / "eq1-doses"
+
+
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     out = tmp_path_factory.mktemp("demo") / "out"
@@ -150,6 +153,31 @@ def test_its_scenario_has_the_three_stresses_one_after_the_other_with_clean_time
     assert [s.kind for s in segments] == ["low_texture", "motion_blur", "fast_rotation"]
     edges_s = [0, *(t for s in segments for t in (s.start_s, s.end_s)), scenario.duration_s]
     assert all(end - start >= 4 for start, end in zip(edges_s[::2], edges_s[1::2], strict=True))
+
+
+def test_its_units_are_of_the_published_cell_in_which_a_second_thread_adds_most():
+    spec, table = read_experiment(DOSES)
+    counted = table[(table.outcome == "completed") & (table.exposed == True)]  # noqa: E712
+    broke = counted.breakage.eq(True)
+    first = broke & counted.free_r1_failed.ne(False)
+    both = first & counted.free_r2_failed.ne(False)
+    added = (first.astype(float) - both.astype(float)).groupby(counted.cell).mean()
+    of = spec.cells[str(added.idxmax())]
+    assert of.base is not None and of.degradation is not None and of.dose is not None
+    published, shown = spec.degradations[of.degradation], load_spec("demo")
+    assert published.kind == shown.degradations[0].kind and published.fields == shown.degradations[0].fields
+    assert shown.bases[of.base] == spec.bases[of.base]
+    assert shown.degradations[0].doses_of(of.base) == (published.doses_of(of.base)[of.dose],)
+    assert (shown.lead_in_s, shown.exposed_s, shown.tail_s) == (spec.lead_in_s, spec.exposed_s, spec.tail_s)
+
+
+def test_its_rotation_turns_from_frame_to_frame_as_the_published_one_that_breaks_every_corridor():
+    (rotation,) = (s for s in load_scenario(SCENARIO).segments if s.kind == "fast_rotation")
+    spec, table = read_experiment(DOSES)
+    assert table[table.cell == "corridor/fast_rotation/2"].breakage.all()
+    (published,) = (d for d in spec.degradations if d.kind == "fast_rotation")
+    per_frame = published.doses_of("corridor")[1] / spec.bases["corridor"].camera["fps"]
+    assert rotation.rate_degps / load_scenario(SCENARIO).camera.fps == pytest.approx(per_frame)
 
 
 @pytest.mark.slow
