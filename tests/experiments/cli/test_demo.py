@@ -23,7 +23,6 @@ from dslab.experiments.statistics.analysis import analyse
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.loading import load_scenario
 
-
 DOSES = Path(__file__).parents[3] / "docs" / "eq1-doses"
 
 

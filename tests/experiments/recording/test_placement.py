@@ -19,7 +19,7 @@ from dslab.experiments.runs.execution import RunRecord, execute, live_trajectori
 from dslab.slam.core import events as ev
 from dslab.slam.core.results import MapTrajectory
 
-BREAKS, NEW_MAP, STARTS, FUSED = 160, 180, 220, 240
+BREAKS, NEW_MAP, STARTS, FUSED = 160, 180, 222, 242
 ASIDE = np.array([0.0, 0.0, -7.0])
 GAUGE = Similarity(0.5, Rotation.from_euler("xyz", [1.0, 0.2, -0.4]).as_matrix(), np.array([9.0, 8.0, 7.0]))
 
@@ -45,13 +45,13 @@ def fused(stretched: float = 1.0) -> RunRecord:
     lone = alone()
     sequence = make_sequence()
     old = execute(sequence, "base", 0, build=fake_factory(sequence)).live[0]
-    results = tuple(
-        r if r.frame < FUSED else replace(r, map_id=0, T_map_cam=old.T_map_cam[old.frames == r.frame][0])
-        for r in lone.results
-    )
     poses, seam = old.T_map_cam.copy(), old.T_map_cam[old.frames == BREAKS][0, :3, 3]
     later = old.frames > BREAKS
     poses[later, :3, 3] = seam + stretched * (poses[later, :3, 3] - seam)
+    results = tuple(
+        r if r.frame < FUSED else replace(r, map_id=0, T_map_cam=poses[old.frames == r.frame][0])
+        for r in lone.results
+    )
     thread = {"thread": 1, "method": "orb", "old_map_id": 0}
     end = next(e for e in lone.events if isinstance(e, ev.RecoveryEnd))
     given = {"old_map_id": 0, "new_map_id": 1, "by": "recovery", "accepted": True, "scale": 2.0, "inliers": 9}
