@@ -184,7 +184,7 @@ def _fate(breakage: dict, summary: dict) -> str:
     if breakage["repair"] is None:
         again = breakage["reinit_frame"]
         begun = f"; new map from frame {again} on" if again is not None else ""
-        reason = _words(breakage["failure_reason"])
+        reason = "; ".join(map(_words, breakage["failure_reason"].split("; ")))
         left_behind = reason.startswith(("map dropped", "a recovery went past"))
         return f"{'' if left_behind else 'never repaired: '}{reason}{begun}"
     at = number(breakage["repair_time_s"], 2, " s")

@@ -1,5 +1,6 @@
 """Outcome of every declared breakage, from the events alone."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -13,6 +14,7 @@ from dslab.slam.core.events import (
     MapDropped,
     RecoveryEnd,
     ReinitDone,
+    RelocalizationWithdrawn,
     Relocalized,
 )
 
@@ -39,6 +41,7 @@ class BreakageOutcome:
             None without one.
         joined: the fusion of the broken map by place recognition; None without one.
         relocalized: the relocalization in the broken map; None without one.
+        refused: relocalizations in it that later frames did not confirm.
         dropped: reason why the broken map was dropped at once; empty if it was kept.
     """
 
@@ -52,6 +55,7 @@ class BreakageOutcome:
     bridged: Fusion | None
     joined: Fusion | None
     relocalized: Relocalized | None
+    refused: tuple[RelocalizationWithdrawn, ...]
     dropped: str
 
     @property
@@ -80,9 +84,17 @@ class BreakageOutcome:
 
     @property
     def failure_reason(self) -> str:
-        """Reason why it was not healed; empty if it was."""
+        """Reason why it was not healed, with the relocalizations that were refused; empty if it was."""
         if self.healed:
             return ""
+        if not self.refused:
+            return self._reason
+        many = f"{len(self.refused)} relocalization{'s' if len(self.refused) > 1 else ''} refused"
+        (commonest, _), *others = Counter(e.reason for e in self.refused).most_common()
+        return f"{self._reason}; {many}: {'mostly ' if others else ''}{commonest}"
+
+    @property
+    def _reason(self) -> str:
         if self.dropped:
             return f"map dropped: {self.dropped}"
         if self.bridged is not None:
@@ -153,6 +165,9 @@ def breakage_outcomes(
                 bridged=_first(e for e in after if isinstance(e, Fusion) and _spans(e, breakage, breakages)),
                 joined=_first(e for e in reversed(fusions) if e.by == "place" and e.accepted),
                 relocalized=_first(e for e in after if isinstance(e, Relocalized) and e.map_id == map_id),
+                refused=tuple(
+                    e for e in after if isinstance(e, RelocalizationWithdrawn) and e.map_id == map_id
+                ),
                 dropped=_first(
                     e.reason
                     for e in after

@@ -107,6 +107,22 @@ def test_a_relocalization_belongs_to_the_last_breakage_before_it():
     assert not second.healed and second.failure_reason == "no_reinit"
 
 
+def test_relocalizations_that_were_refused_are_told_where_none_was_confirmed():
+    def refused(frame, reason="too_little_evidence", map_id=0):
+        tried = {"keyframe": 9, "first_frame": frame, "frames": 1}
+        return ev.RelocalizationWithdrawn(**at(frame), map_id=map_id, reason=reason, **tried)
+
+    def reason(*events):
+        return outcomes(broke(160), *events)[0].failure_reason
+
+    assert reason(refused(170), refused(180, map_id=1)) == (
+        "no_reinit; 1 relocalization refused: too_little_evidence"
+    )
+    many = (refused(170), refused(180), refused(190, "few_inliers"))
+    assert reason(*many) == "no_reinit; 3 relocalizations refused: mostly too_little_evidence"
+    assert reason(*many, found(200)) == ""
+
+
 def test_a_refused_fusion_is_a_failure_with_its_reason():
     done = ev.ReinitDone(**at(200), map_id=1, frames_taken=40)
     (one,) = outcomes(broke(160), done, fused(220, accepted=False))
