@@ -21,12 +21,13 @@ _MEASURED = {"summary.json", "frames.csv", "report.html"}
 
 @dataclass(frozen=True)
 class Case:
-    """The end of a command on one input, all that is wrong with it, and what the command read."""
+    """The end of a command on one input, all that is wrong with it, what it read, and what it noticed."""
 
     ended: Ended
     outcome: str
     faults: list[str]
     seen: dict[str, str]
+    notes: set[str]
 
 
 class Lab:
@@ -34,7 +35,7 @@ class Lab:
 
     def __init__(self, root: Path) -> None:
         self._root, self._number = root, 0
-        self._valid: dict[tuple[Example, str], dict[str, str]] = {}
+        self._valid: dict[tuple[Example, str], Case] = {}
         environment = {
             **os.environ, "OMP_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8:strict", "HOME": str(root),
             "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
@@ -59,13 +60,13 @@ class Lab:
             example.write(folder)
         return folder
 
-    def valid(self, example: Example, command: str) -> dict[str, str]:
-        """What a command reads of an example as it should be."""
+    def valid(self, example: Example, command: str) -> Case:
+        """The end of a command on an example as it should be."""
         if (example, command) not in self._valid:
             case = self.run(example, command)
             if case.ended.code != 0 and not command.startswith("experiment replay"):
                 raise AssertionError(f"{command}: {case.ended.code}: {case.ended.err}")
-            self._valid[example, command] = case.seen
+            self._valid[example, command] = case
         return self._valid[example, command]
 
     def judge(self, example: Example, command: str, mutation: Mutation) -> tuple[str, list[str]]:
@@ -73,8 +74,10 @@ class Lab:
         command = command.replace("{changed}", f"{{in}}/{mutation.path}")
         valid = self.valid(example, command)
         case = self.run(example, command, mutation)
-        if case.ended.code == 0 and mutation.strict and case.seen != valid:
-            changed = differing(case.seen, valid)
+        # What is noticed is no silent change.
+        is_silent = case.ended.code == 0 and case.notes <= valid.notes
+        if is_silent and mutation.strict and case.seen != valid.seen:
+            changed = differing(case.seen, valid.seen)
             return case.outcome, [*case.faults, "silently changed: " + ", ".join(changed)]
         return case.outcome, case.faults
 
@@ -89,7 +92,7 @@ class Lab:
         stdout: str | None = None,
         limits: Sequence[tuple[str, int]] = (),
         **environment: str,
-    ) -> "Case":
+    ) -> Case:
         """Run a command on a copy of an example.
 
         Args:
@@ -131,7 +134,9 @@ class Lab:
         seen = {f"given/{name}": after.get(name, "") for name in changed}
         seen |= _seen(folder, result, command, ended)
         shutil.rmtree(folder, ignore_errors=True)
-        return Case(ended, outcome, faults, {n: d for n, d in seen.items() if Path(n).name not in _MEASURED})
+        seen = {name: digest for name, digest in seen.items() if Path(name).name not in _MEASURED}
+        lines = ended.err.replace(str(folder), "").splitlines()
+        return Case(ended, outcome, faults, seen, {line for line in lines if line.startswith("note: ")})
 
     def _call(
         self, words: list[str], folder: Path, variables: dict[str, str], stdout: str, limits: Sequence
