@@ -1,5 +1,7 @@
 """Writer of an .rrd file: entities, times, write errors."""
 
+import atexit
+import ctypes
 import errno
 import os
 import shutil
@@ -13,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 APPLICATION = "dslab"
 _NO_SPACE_BYTES = 1 << 20
+_STILL_S = 5.0
 
 
 class Stream:
@@ -28,7 +31,7 @@ class Stream:
     """
 
     def __init__(self, path: Path, title: str, stamps_s: np.ndarray) -> None:
-        self._path = path
+        self._path, self._is_stuck = path, False
         self._times_s = stamps_s - stamps_s[0]
         self._rec = rr.RecordingStream(APPLICATION, recording_id=title)
         self._rec.set_log_time_enabled(False)
@@ -42,12 +45,33 @@ class Stream:
     def close(self, failed: bool) -> None:
         """Close the file; write errors are raised unless the caller has ``failed`` already."""
         try:
-            self._rec.flush()
+            self._flush()
         except RuntimeError as error:
             if not failed:
                 raise self._write_error() from error
         finally:
-            self._rec.disconnect()
+            if not self._is_stuck:
+                self._rec.disconnect()
+
+    def _flush(self) -> None:
+        """Wait while the file grows: rerun's writer may end at an error without a word, and is waited for."""
+        size_bytes = -1
+        while True:
+            try:
+                return self._rec.flush(timeout_sec=_STILL_S)
+            except RuntimeError as error:
+                before_bytes, size_bytes = size_bytes, self._path.stat().st_size
+                if "timed out" not in str(error):
+                    raise
+                if size_bytes <= before_bytes:
+                    self._abandon()
+                    raise
+
+    def _abandon(self) -> None:
+        """Leave a stream that has no writer: to disconnect or to free it would wait for ever."""
+        self._is_stuck = True
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._rec.inner))
+        atexit.unregister(rr.rerun_shutdown)
 
     def static(self, entity: str, *archetypes: Any) -> None:
         """Write data for all times."""

@@ -9,11 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 from slam_fakes import CAMERA, FakeSystem, fake_factory, make_sequence, run_sequence
 
 from dslab.experiments.evaluation.scene import lay_out
-from dslab.experiments.recording import Recording, palette
+from dslab.experiments.recording import Recording, palette, stream
 from dslab.experiments.recording.describe import describe_event
 from dslab.experiments.runs.execution import execute
 from dslab.slam.core.events import Event, RelatingEvent, TrackingState
@@ -256,6 +257,26 @@ def test_a_recording_that_cannot_be_written_raises():
 
     with pytest.raises(OSError, match="/dev/full"):
         work()
+
+
+def test_a_writer_that_has_ended_without_a_word_is_not_waited_for(tmp_path, monkeypatch):
+    class Stuck:
+        inner = object()
+
+        def flush(self, timeout_sec):
+            raise RuntimeError("Flush timed out - not all log messages were sent")
+
+        def disconnect(self):
+            raise AssertionError("would wait for ever")
+
+    left = []
+    monkeypatch.setattr(stream.atexit, "unregister", left.append)
+    opened = stream.Stream(tmp_path / "x.rrd", "x", np.arange(3.0))
+    opened._rec.disconnect()
+    opened._rec = Stuck()
+    with pytest.raises(OSError, match="rrd"):
+        opened.close(failed=False)
+    assert left == [rr.rerun_shutdown]
 
 
 def test_the_estimate_is_aligned_to_the_truth_for_display():
