@@ -1,5 +1,6 @@
 """Real commands that are sent a signal at some moment, and what they leave."""
 
+import csv
 import os
 import signal
 import subprocess
@@ -26,6 +27,8 @@ COMMANDS = {
 }
 LONG = {"fuzz", "demo"}
 """Commands whose second start is ended by a signal too, as they take a while."""
+RESUMED = {"batch", "experiment"}
+"""Commands that go on where they were, whatever has ended them."""
 _MOST_S = 40.0
 _BAD = ("Traceback", "Fatal Python error", "Segmentation", "Aborted", "core dumped", "most recent call first")
 _START = """
@@ -97,6 +100,12 @@ class Place:
     def done(self, name: str) -> bool:
         """The result is there; that of a batch or an experiment is there from the start."""
         return self.result.exists() and name not in ("batch", "experiment")
+
+    def lacking(self) -> list[str]:
+        """What the table of a batch lacks that has gone on to its end."""
+        with (self.result / "runs.csv").open() as file:
+            ended = [(row["run"], row["ended"]) for row in csv.DictReader(file)]
+        return [] if ended == [("0", "finished"), ("1", "finished")] else [f"runs.csv has {ended}"]
 
     def debris(self) -> list[str]:
         """What no command may leave: anything but a whole result."""

@@ -5,7 +5,7 @@ import signal
 import time
 
 import pytest
-from hostile_signals import COMMANDS, LONG, Place, faults_of, survivors
+from hostile_signals import COMMANDS, LONG, RESUMED, Place, faults_of, survivors
 
 from dslab.scenarios.seeds import rng_for
 
@@ -25,7 +25,7 @@ def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, cas
         code, err = running.end(number)
         faults = faults_of(code, err, number, place.done(name))
         faults += [f"still runs: {alive}" for alive in survivors(running.mark, 10.0)]
-        if number == signal.SIGKILL:
+        if number == signal.SIGKILL or name in RESUMED:
             faults += _start_again(place, name)
         faults += place.debris()
         outcome = "finished" if code == 0 else "ended"
@@ -36,7 +36,7 @@ def test_a_signal_leaves_a_whole_result_or_nothing(name, tmp_path, findings, cas
 
 
 def _start_again(place: Place, name: str) -> list[str]:
-    """Start a killed command once more, which sweeps what it left; what is wrong then."""
+    """Start a command once more, which sweeps what a killed one left and goes on; what is wrong then."""
     running = place.start(name)
     number = 0
     if name in LONG:
@@ -47,4 +47,5 @@ def _start_again(place: Place, name: str) -> list[str]:
     done = place.done(name)
     if code == 2 and done and "already holds files" in err:
         return []  # the first had just finished
-    return [f"started again: {fault}" for fault in faults_of(code, err, number, done)]
+    faults = faults_of(code, err, number, done) + (place.lacking() if name == "batch" else [])
+    return [f"started again: {fault}" for fault in faults]
