@@ -54,6 +54,10 @@ class _Stream:
         except OSError as error:
             self._fail(self._stream, error)
 
+    def close(self) -> None:
+        """Leave it open: a class or a plug-in may close what it is given, and the lab has more to say."""
+        self.flush()
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 

@@ -148,6 +148,14 @@ def test_errors_that_cannot_be_written_do_not_end_the_work(dslab, monkeypatch, s
     assert dslab("run", "x", "--out", tmp_path / "o")[0] == 2
 
 
+def test_a_stream_that_anothers_code_closes_stays_open(capsys):
+    with safe_streams():
+        for stream in (sys.stdout, sys.stderr):
+            stream.close()
+            print("more", file=stream)
+    assert capsys.readouterr() == ("more\n", "more\n")
+
+
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 def test_whatever_is_in_a_name_is_printed(dslab, monkeypatch, source, tmp_path, encoding):
     raw = io.BytesIO()
