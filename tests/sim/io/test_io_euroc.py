@@ -164,6 +164,7 @@ def test_stamps_since_1970_keep_every_nanosecond(folder, tmp_path):
     check_same(load_sequence(tmp_path / "again"), sequence)
 
 
+@pytest.mark.filterwarnings("ignore:.*truth covers")
 def test_a_frame_without_pose_has_none_when_read_back(tmp_path):
     sequence = make_sequence()
     sequence.T_world_cam[3] = np.nan

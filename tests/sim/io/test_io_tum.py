@@ -75,6 +75,7 @@ def test_without_ground_truth_there_is_none(folder):
     assert load_sequence(folder).T_world_cam is None
 
 
+@pytest.mark.filterwarnings("ignore:.*truth covers")
 def test_truth_goes_to_frames_within_half_an_interval_and_is_not_interpolated(folder):
     lines = (folder / "groundtruth.txt").read_text().splitlines()
     rows = [line.split() for line in lines[1:]]

@@ -92,6 +92,7 @@ def test_an_archive_reads_as_the_folder_does(folder):
     fault(folder, "images.zip", "no readable zip")
 
 
+@pytest.mark.filterwarnings("ignore:.*truth covers")
 def test_truth_with_gaps_is_read(folder):
     lines = ["0.00 1 2 3 0 0 0 1", "0.05 nan nan nan nan nan nan nan", "0.15 4 5 6 0 0 0 1"]
     (folder / "groundtruthSync.txt").write_text("\n".join(lines))

@@ -128,6 +128,7 @@ def test_a_folder_without_truth_is_read(folder, truth):
     assert load_sequence(folder).T_world_cam is None
 
 
+@pytest.mark.filterwarnings("ignore:.*truth covers")
 def test_what_is_written_is_the_published_form_and_is_read_back(tmp_path):
     written = make_sequence()
     written.T_world_cam[2] = np.nan

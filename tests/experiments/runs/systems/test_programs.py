@@ -57,7 +57,7 @@ def test_its_poses_are_judged_as_ours(run):
 def test_it_is_given_frames_and_camera_and_no_truth(run, tmp_path):
     run(f"import shutil; shutil.copytree(seq, {str(tmp_path / 'seen')!r})")
     files = {path.name: path for path in (tmp_path / "seen").iterdir()}
-    assert set(files) == {"camera.yaml", "rgb", "rgb.txt", "meta.json", "segments.json"}
+    assert set(files) == {"camera.yaml", "orbslam3.yaml", "rgb", "rgb.txt", "meta.json", "segments.json"}
     assert json.loads(files["segments.json"].read_text()) == [] and len(files["meta.json"].read_text()) < 40
 
 
