@@ -122,11 +122,14 @@ def test_ctrl_c_on_the_command_is_two_lines_and_exit_130_and_the_same_command_re
 
 
 def test_a_boundary_search_that_is_killed_ends_with_the_doses_of_one_that_is_not(command, tmp_path):
-    plan, folder = boundary_plan(load_spec("smoke"), "motion_blur", "base", 0.5, trials=32), tmp_path / "x"
+    plan, folder = (
+        boundary_plan(load_spec("smoke"), "motion_blur", "breakage", 0.5, trials=32),
+        tmp_path / "x",
+    )
     whole = BoundarySchedule(plan)
     while (unit := whole.next()) is not None:
         whole.finish(planted_unit(unit))
-    search = ["experiment", "boundary", "motion_blur", "--of", "base", "--fail", "0.5", "--spec", "smoke"]
+    search = ["experiment", "boundary", "motion_blur", "--of", "breakage", "--fail", "0.5", "--spec", "smoke"]
     search += ["--trials", 32, "--out", folder]
     ended_midway(command(BOUNDARY, *search, "--workers", 2), signal.SIGKILL, folder, plan.spec)
     assert 5 <= len(rows_of(folder, plan.spec)) < 32
