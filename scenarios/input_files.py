@@ -4,6 +4,7 @@ Only regular files are opened, up to a size that fits their kind, so that a pipe
 neither hang the lab nor fill its memory. Whatever a name or its file can do wrong is one ``InputError``.
 """
 
+import hashlib
 import json
 import math
 import os
@@ -88,6 +89,12 @@ def open_file(path: Path, most_bytes: int | None = None, if_missing: str = "chec
         file.close()
         raise
     return file
+
+
+def file_digest(path: Path) -> bytes:
+    """SHA-256 of the content of a file of any size. Raises InputError as ``open_file``."""
+    with open_file(path) as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
 def read_bytes(path: Path, most_bytes: int, if_missing: str = "check the path") -> bytes:

@@ -24,12 +24,12 @@ from dslab.experiments.runs.identity import check_once, sequence_digest, system_
 from dslab.experiments.runs.inputs import hashed
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.provenance import code_hash, commit
-from dslab.experiments.runs.sources import open_sequence
+from dslab.experiments.runs.sources import is_recorded, open_sequence
 from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.registry import Registry, System, system_digest
 from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.input_files import is_folder, is_given
+from dslab.scenarios.input_files import is_given
 from dslab.scenarios.loading import load_scenario
 from dslab.sim.degradations.recorded_sequences import degrade_sequence
 from dslab.sim.io.folders import new_directory, write_file
@@ -72,9 +72,9 @@ class Job:
 
     @property
     def scene(self) -> tuple[str, int | None]:
-        """Its source and the seed of a scenario; None for the scenario's own, and for a folder."""
+        """Its source and the seed of a scenario; None for its own, and for what is recorded."""
         source = self.about["source"]
-        drawn = self.spec.vary == "scenes" and not is_folder(source)
+        drawn = self.spec.vary == "scenes" and not is_recorded(source)
         return source, int(self.about["seed"]) if drawn else None
 
 
@@ -167,7 +167,7 @@ def make_run(job: Job) -> Row:
         pace = RealTime(frames) if spec.real_time else None
         record = run_system(system, frames, job.about["seed"], spec.build, folder, pace=pace, whole=whole)
         summary = summarise(record)
-        if not is_folder(job.scene[0]):
+        if not is_recorded(job.scene[0]):
             add_overlaps(record, summary["breakage_list"], load_scenario(*job.scene))
         write_run(folder, record, summary, picture=False)
     return job.about | figures_of(record, summary)
@@ -204,7 +204,7 @@ def _render(jobs: list[Job], workers: int, show: Progress) -> None:
 
     What is wrong with one shows in its runs.
     """
-    scenes = {job.scene: job for job in jobs if not is_folder(job.about["source"])}
+    scenes = {job.scene: job for job in jobs if not is_recorded(job.about["source"])}
     limits = PoolSettings(workers, None, jobs[0].spec.limit_s if jobs else None, None, True, False)
     with open_pool(_render_one, limits) as pool:
         for number, _ in enumerate(pool.run(deque(scenes.values())), 1):

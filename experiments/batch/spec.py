@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 from dslab.experiments.batch.doses import DoseSeries, dose_series
 from dslab.experiments.runs.execution import Mode, SystemFactory
 from dslab.experiments.runs.slam_settings import factory_of, parse_slam_settings
+from dslab.experiments.runs.sources import is_recorded
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import all_faults
 from dslab.scenarios.input_files import is_folder, is_text
@@ -27,7 +28,7 @@ _OF_A_ROW = ("vary", "skip_frames", "first_s", "stress", "seed", "mode", "real_t
 class BatchSpec(Strict):
     """What is run: every system over every sequence, several times."""
 
-    sequences: tuple[str, ...] = Field(min_length=1, description="folders, patterns of folders, scenarios")
+    sequences: tuple[str, ...] = Field(min_length=1, description="folders, bags, patterns of them, scenarios")
     systems: tuple[str, ...] = Field(
         min_length=1, description="names of `dslab systems list`, or module:Class"
     )
@@ -139,20 +140,21 @@ def _sources(file: YamlFile, spec: BatchSpec) -> list[str]:
 
 
 def _matches(where: str, pattern: str) -> list[str]:
-    """The sequence folders that a pattern fits."""
+    """The sequence folders and bags that a pattern fits."""
     from dslab.sim.io.forms import detect_form
 
     found = []
-    for name in sorted(filter(is_folder, glob.glob(pattern))):
+    for name in sorted(filter(is_recorded, glob.glob(pattern))):
         try:
-            detect_form(Path(name))
+            if is_folder(name):
+                detect_form(Path(name))
         except InputError:
             continue
         if not is_text(name):
             raise InputError(where, f"the name of {name!r} is not UTF-8", "rename that folder")
         found.append(name)
     if not found:
-        raise InputError(where, f"{pattern!r} fits no sequence folder", "correct the pattern")
+        raise InputError(where, f"{pattern!r} fits no sequence", "correct the pattern")
     return found
 
 
@@ -162,7 +164,7 @@ def _checked(where: str, source: str) -> str:
     from dslab.sim.io.forms import load_sequence
 
     try:
-        load_sequence(source) if is_folder(source) else load_scenario(source, None)
+        load_sequence(source) if is_recorded(source) else load_scenario(source, None)
     except InputError as fault:
         raise InputError(f"{where} ({fault.where})", fault.problem, fault.remedy) from None
     return source

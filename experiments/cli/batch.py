@@ -37,7 +37,7 @@ def batch_command(
 ) -> None:
     """Run systems over many sequences, several times each, and print a table.
 
-    SPEC.yaml names sequences (folders, patterns, scenarios), systems and the number of runs. Killed and
+    SPEC.yaml names sequences (folders, bags, patterns, scenarios), systems and the number of runs. Killed and
     started again, a batch goes on where it was. Systems that take frames in real time run alone, after the
     others. Writes runs.parquet and runs.csv, a row per run, pairs.csv, in which every further system
     stands beside the first one over the frames that both have placed, breakages.csv, a row per breakage,

@@ -55,14 +55,13 @@ def input_digests(sequence: Sequence) -> dict[str, str]:
     assert isinstance(frames, HashedFrames)
     return {
         "images": frames.digest()[:32],
-        "times": _of(sequence.stamps_s, sequence.exposure_s),
+        "times": content_key(array_digests(sequence.stamps_s, sequence.exposure_s)),
         "camera": content_key(repr(sequence.camera)),
-        "truth": _of(sequence.T_world_cam),
+        "truth": content_key(array_digests(sequence.T_world_cam)),
         "stress": content_key(repr(sequence.segments)),
     }
 
 
-def _of(*arrays: np.ndarray | None) -> str:
-    return content_key(
-        [None if array is None else hashlib.sha256(array.tobytes()).hexdigest() for array in arrays]
-    )
+def array_digests(*arrays: np.ndarray | None) -> list[str | None]:
+    """Hashes of the content of arrays, None of what is not known."""
+    return [None if array is None else hashlib.sha256(array.tobytes()).hexdigest() for array in arrays]

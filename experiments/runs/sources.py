@@ -19,6 +19,11 @@ if TYPE_CHECKING:
     from dslab.sim.io.forms import TruthForm
 
 
+def is_recorded(source: str) -> bool:
+    """True for a folder or a ROS bag: it has frames of its own, and needs no camera beside it."""
+    return is_folder(source) or is_bag(source)
+
+
 def open_sequence(
     source: str,
     seed: int | None = None,
@@ -54,7 +59,7 @@ def open_sequence(
             no room for the frames.
     """
     path = Path(source)
-    if is_folder(path) or is_video(path) or is_bag(path) or camera is not None:
+    if is_recorded(source) or is_video(path) or camera is not None:
         if renderer is not None:
             problem = "the frames are already there"
             raise InputError(f"--renderer: {source}", problem, "name a scenario, or leave out --renderer")
@@ -66,9 +71,6 @@ def open_sequence(
             with_depth, colour = sequence.depths is not None, is_coloured(sequence.frames)
             needs = [images_need(out_dir, len(sequence), size_px, with_depth, colour)]
             check_room(str(path), len(sequence), needs, force)
-        if camera is None and is_folder(path):
-            names = sequence.image_names or _image_names(path)
-            sequence = replace(sequence, image_names=names) if len(names) == len(sequence) else sequence
         sequence = replace(sequence, source=source)
         return sequence if first_s is None else sequence.first(first_s)
     if truth is not None:
@@ -111,7 +113,7 @@ def open_imu(
     """
     if wanted is False:
         return None
-    if is_folder(source) or is_bag(source):
+    if is_recorded(source):
         readings = _folder_imu(Path(source)) if is_folder(source) else None
         if wanted and readings is None:
             problem = "the folder has no inertial readings, and no continuous motion to make them from"
@@ -126,25 +128,6 @@ def open_imu(
         return None
     model = ImuModel.of_spec(scenario.imu) if scenario.imu else None
     return record_imu(plan_path(scenario, render_backend()), stamps_s, scenario.seed, model)
-
-
-def _image_names(folder: Path) -> tuple[str, ...]:
-    """Names of the image files, relative to the folder, in its order; empty for the TUM-mono form."""
-    from dslab.sim.io import euroc, kitti, layout
-    from dslab.sim.io.forms import Form, detect_form, sequence_folder
-    from dslab.sim.io.text import read_rows
-
-    folder = sequence_folder(folder)
-    form = detect_form(folder)
-    if form is Form.TUM:
-        return tuple(words[1] for _, words in read_rows(folder / layout.FRAMES_FILE, ""))
-    if form is Form.EUROC:
-        directory = euroc.camera_dir(folder)
-        rows = read_rows(directory / euroc.TABLE_FILE, "", ",")
-        return tuple(str((directory / "data" / words[1]).relative_to(folder)) for _, words in rows)
-    if form is Form.KITTI:
-        return tuple(str(path.relative_to(folder)) for path in kitti.image_paths(folder))
-    return ()
 
 
 def _folder_imu(folder: Path) -> ImuReadings | None:

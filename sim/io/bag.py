@@ -9,7 +9,6 @@ those of the headers. The package ``rosbags`` reads the files; it is the optiona
 Source: sensor_msgs Image, CompressedImage, CameraInfo; REP 104.
 """
 
-import hashlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,7 +20,7 @@ import cv2
 import numpy as np
 
 from dslab.scenarios.errors import InputError, notice
-from dslab.scenarios.input_files import file_names, is_folder, is_given, open_file
+from dslab.scenarios.input_files import file_digest, file_names, is_folder, is_given, open_file
 from dslab.sim.io.calibration import Fields
 from dslab.sim.io.calibrations import camera_info, split_name
 from dslab.sim.io.camera_file import intrinsics_of, other_size, read_camera
@@ -85,7 +84,7 @@ def load_bag(
             raise InputError(f"{file}: {topic}", "holds no image", "name another topic")
         size_px = _size(first, f"{file}: {topic}")
         size = size_px[::-1]
-        content = {"bag": _digest(file), "topic": topic, "size": size}
+        content = {"bag": _digests(file), "topic": topic, "size": size}
         stamps, frames = decoded_once(
             file,
             content,
@@ -246,12 +245,7 @@ def _camera(file: Path, bag: Any, topic: str, size_px: tuple[int, int], fps: flo
     )
 
 
-def _digest(file: Path) -> str:
+def _digests(file: Path) -> list[str]:
     """Of the content of a file, or of those in a folder."""
-    names = [file / name for name in file_names(file)] if is_folder(file) else [file]
-    digest = hashlib.sha256()
-    for path in names:
-        if not is_folder(path):
-            with open_file(path) as opened:
-                digest.update(hashlib.file_digest(opened, "sha256").digest())
-    return digest.hexdigest()
+    paths = [file / name for name in file_names(file)] if is_folder(file) else [file]
+    return [file_digest(path).hex() for path in paths if not is_folder(path)]

@@ -29,7 +29,7 @@ from dslab.sim.io.calibrations import euroc_sensor
 from dslab.sim.io.camera_file import intrinsics_of, read_camera
 from dslab.sim.io.clock import choose_origin_ns, origin_ns, to_ns, to_seconds, written_ns
 from dslab.sim.io.folders import Progress, new_directory, write_images
-from dslab.sim.io.images import GrayFolder
+from dslab.sim.io.images import GrayFolder, names_in
 from dslab.sim.io.orbslam3 import TIMES_FILE
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import (
@@ -93,6 +93,7 @@ def load_euroc(folder: Path) -> Sequence:
         frames=frames,
         T_world_cam=None if T_world_body is None else T_world_body @ T_body_cam,
         depths=None,
+        image_names=names_in(folder, images),
         **sidecars,
     )
 

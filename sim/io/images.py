@@ -3,6 +3,7 @@
 The size of an image is taken from its header and checked before a pixel is decoded.
 """
 
+import os
 import zipfile
 import zlib
 from collections.abc import Sequence
@@ -198,6 +199,11 @@ def image_shape(path: Path) -> tuple[int, int]:
     width, height = _header(_bytes(path), str(path))
     check_size(str(path), width, height)
     return height, width
+
+
+def names_in(folder: Path, images: Sequence[Path]) -> tuple[str, ...]:
+    """Names of image files relative to a folder, for ``Sequence.image_names``."""
+    return tuple(os.path.relpath(image, folder) for image in images)
 
 
 def numbered_images(folder: Path, suffixes: tuple[str, ...], ending: str = "") -> list[Path]:

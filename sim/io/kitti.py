@@ -24,7 +24,7 @@ from dslab.sim.io.calibration_tables import KITTI_FPS, kitti_projection
 from dslab.sim.io.camera_file import check_camera, intrinsics_of, other_size
 from dslab.sim.io.clock import held_stamps, written_seconds
 from dslab.sim.io.folders import Progress, new_directory, write_images
-from dslab.sim.io.images import GrayFolder, image_shape, numbered_images
+from dslab.sim.io.images import GrayFolder, image_shape, names_in, numbered_images
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import (
     check_frames,
@@ -90,7 +90,7 @@ def write_kitti(sequence: Sequence, directory: Path, progress: Progress | None =
 
 def load_kitti(folder: Path) -> Sequence:
     """Read a folder in KITTI's odometry form or a raw drive. Errors as of ``load_sequence``."""
-    images = image_paths(folder)
+    images = _images(folder)
     raw = _images_dir(folder).name == "data"
     times = _images_dir(folder).parent / _RAW_TIMES if raw else folder / TIMES_FILE
     stamps_ns = None
@@ -114,6 +114,7 @@ def load_kitti(folder: Path) -> Sequence:
         frames=GrayFolder(images, shape, f"{images[0].parent.name}/{images[0].name}"),
         T_world_cam=_read_poses(folder, images),
         depths=None,
+        image_names=names_in(folder, images),
         stamps_ns=stamps_ns,
         **read_sidecars(folder, len(stamps_s)),
     )
@@ -131,12 +132,8 @@ def _images_dir(folder: Path) -> Path:
     return found[0] if found else folder / IMAGES_DIR
 
 
-def image_paths(folder: Path) -> list[Path]:
-    """The images of a folder in KITTI's form, in the order of their numbers.
-
-    Raises:
-        InputError: there is none, a name is no number, or a number occurs twice or is missing.
-    """
+def _images(folder: Path) -> list[Path]:
+    """The images in the order of their numbers. Raises InputError without one, or as ``by_number``."""
     images = numbered_images(_images_dir(folder), (".png", ".jpg", ".jpeg"))
     if not images:
         raise InputError(str(_images_dir(folder)), "holds no image", "give images by number, PNG or JPEG")

@@ -15,7 +15,6 @@ to colour and those of ScanNet have another size: neither are read. 7-Scenes pub
 Source: the data sets' pages, and for Replica the rendering that NICE-SLAM distributes.
 """
 
-import os
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +29,7 @@ from dslab.sim.io import layout
 from dslab.sim.io.calibration import Calibration
 from dslab.sim.io.calibrations import read_calibration
 from dslab.sim.io.camera_file import intrinsics_of, read_camera
-from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape
+from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape, names_in
 from dslab.sim.io.sidecars import read_sidecars
 from dslab.sim.io.text import check_present, check_words, read_rows, to_frame_number, to_numbers
 from dslab.sim.io.truth import check_rigid, read_tum_poses
@@ -119,7 +118,7 @@ def posed_sequence(
         frames=GrayFolder(images, size, str(own)),
         T_world_cam=T_world_cam,
         depths=DepthFolder(depths[0], size, depths[1], str(own)) if depths and some else None,
-        image_names=tuple(os.path.relpath(image, folder) for image in images),
+        image_names=names_in(folder, images),
         **read_sidecars(folder, len(images)),
     )
 

@@ -10,7 +10,7 @@ from dslab.sim.io import layout
 from dslab.sim.io.camera_file import read_camera, write_camera
 from dslab.sim.io.clock import held_stamps, written_seconds
 from dslab.sim.io.folders import Progress, new_directory, write_images
-from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape
+from dslab.sim.io.images import DepthFolder, GrayFolder, image_shape, names_in
 from dslab.sim.io.sidecars import read_sidecars, write_sidecars
 from dslab.sim.io.text import check_present, read_list, to_decimal
 from dslab.sim.io.truth import half_interval_s, nearest, other_clock, read_tum_poses, tum_poses_text
@@ -42,6 +42,7 @@ def load_tum(folder: Path, camera_file: Path | None = None) -> Sequence:
         frames=frames,
         T_world_cam=read_tum_poses(folder / layout.TRUTH_FILE, stamps_s, tolerance_s),
         depths=_read_depths(folder / layout.DEPTH_FILE, camera, stamps_s, tolerance_s),
+        image_names=names_in(folder, images),
         stamps_ns=stamps_ns,
         **read_sidecars(folder, len(stamps_s)),
     )

@@ -1,6 +1,5 @@
 """Video files, decoded once into the cache, with a camera.yaml from elsewhere."""
 
-import hashlib
 import os
 import weakref
 from collections.abc import Callable
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.input_files import open_file
+from dslab.scenarios.input_files import file_digest, open_file
 from dslab.sim.io.camera_file import check_camera, other_size, read_camera
 from dslab.sim.io.decoding import decoded_once
 from dslab.sim.io.raw import RawFrames
@@ -64,8 +63,6 @@ def load_video(
     size = (camera.height_px, camera.width_px)
     if size != (height, width):
         raise other_size(str(path), (width, height), size, str(camera_file))
-    with open_file(path) as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
 
     def stamps_of_all() -> np.ndarray:
         stamps_s = _read_stamps(path, camera.fps)
@@ -74,7 +71,7 @@ def load_video(
             raise InputError(str(path), problem, "copy it again; --force takes what there is")
         return stamps_s
 
-    content = {"video": digest, "size": size, "fps": camera.fps}
+    content = {"video": file_digest(path).hex(), "size": size, "fps": camera.fps}
     frames_of = partial(_frames, path, size)
     stamps_s, frames = decoded_once(path, content, size, stamps_of_all, frames_of, cache_dir, progress, force)
     if len(stamps_s) > 1:

@@ -338,7 +338,7 @@ def test_runs_that_could_not_be_made_are_said_after_the_table(
     ("line", "says"),
     [
         ("sequences: [no/such/folder]", "batch.yaml:1: sequences[0] (no/such/folder): "),
-        ("sequences: ['none*']", "'none*' fits no sequence folder"),
+        ("sequences: ['none*']", "'none*' fits no sequence"),
         ("sequences: [clean-room, clean-room]", "clean-room is named twice"),
         ("systems: [bse]", "there is no system 'bse'; give base (did you mean that?)"),
         ("systems: [base, base]", "base is named twice"),

@@ -13,6 +13,7 @@ from slam_fakes import make_sequence
 from dslab.experiments.batch import run as batch_run
 from dslab.experiments.batch.run import run_batch
 from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.runs.identity import sequence_digest
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.families import load_family
 from dslab.sim.io.tum import write_tum
@@ -73,6 +74,15 @@ def test_a_sequence_is_run_again_when_its_content_has_changed(folder, tmp_path, 
     other = (folder / "rgb" / "000030.png").read_bytes()
     path.write_bytes(other if path.suffix == ".png" else re.sub(rb"\d(?=\D*$)", b"1", content))
     assert made(str(source)) == 2 and len(list((tmp_path / "b" / "runs").rglob("note"))) == 1
+
+
+def test_an_image_counts_with_spaces_in_its_name(folder):
+    (folder / "rgb" / "000009.png").rename(folder / "rgb" / "of the door.png")
+    listed = (folder / "rgb.txt").read_text().replace("000009.png", "of the door.png")
+    (folder / "rgb.txt").write_text(listed)
+    before = sequence_digest(str(folder))
+    (folder / "rgb" / "of the door.png").write_bytes((folder / "rgb" / "000030.png").read_bytes())
+    assert sequence_digest(str(folder)) != before
 
 
 def test_runs_that_begin_at_other_frames_have_one_input(folder, tmp_path):

@@ -1,5 +1,7 @@
 """ROS bags: topics, cameras, encodings, times. They are made with rosbags, the extra that reads them."""
 
+import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -7,6 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
+from dslab.experiments.batch.spec import read_batch
+from dslab.experiments.runs.identity import sequence_digest
 from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.forms import Form, detect_form, load_sequence
 
@@ -177,3 +181,16 @@ def test_without_the_package_the_remedy_is_one_line(tmp_path, monkeypatch):
     for name in ("rosbags", "rosbags.highlevel"):
         monkeypatch.setitem(sys.modules, name, None)
     fault(tmp_path / "walk.bag", "rosbags, which reads bags, is not installed", "dual-slam-lab[rosbag]")
+
+
+def test_topics_of_bags_are_sequences_of_a_batch(tmp_path):
+    """A copy is the same sequence, another topic is not."""
+    topics = {"/cam0/image_raw": "mono8", "/cam1/image_raw": "bayer_rggb8"}
+    path = record(tmp_path / "walk.bag", topics, ("/cam0/camera_info", "/cam1/camera_info"))
+    copy = shutil.copy(path, tmp_path / "copy.bag")
+    named = [f"{path}:/cam0/image_raw", f"{path}:/cam1/image_raw", f"{copy}:/cam0/image_raw"]
+    spec = tmp_path / "batch.yaml"
+    spec.write_text(f"sequences: {json.dumps(named)}\nsystems: [base]\n")
+    _, sources = read_batch(spec)
+    digests = [sequence_digest(source) for source in sources]
+    assert sources == named and digests[0] == digests[2] != digests[1]
