@@ -25,7 +25,7 @@ def picture_command(
 
     Examples: `dslab picture out/demo --out breakage.png`, `dslab picture out/run --at 7.5 --out moment.png`
     """
-    from dslab.experiments.pictures.moment_picture import moment_figure
+    from dslab.experiments.pictures.moment_picture import frame_at, moment_figure
     from dslab.experiments.recording.recorded_frame import recorded_frame
     from dslab.experiments.result_folder import RECORDING_FILE, SUMMARY_FILE
     from dslab.experiments.runs.read_back import read_record
@@ -38,39 +38,42 @@ def picture_command(
         raise InputError(f"--out: {out}", "its folder does not exist", "make it, or choose another place")
     several = [] if is_given(path / SUMMARY_FILE) else sorted(path.glob(f"*/{SUMMARY_FILE}"))
     records = [read_record(file.parent) for file in several] or [read_record(path)]
-    frame = _frame_at(at, records)
+    names = list(dict.fromkeys(record.sequence.name for record in records))
+    if len(names) > 1:
+        problem = f"holds runs over several sequences ({', '.join(names[:3])})"
+        raise InputError(str(path), problem, "give the folder of one")
+    stamp_s = _stamp_at(at, records)
+    frame = frame_at(records[0], stamp_s)
     recording = next((f for f in (path / RECORDING_FILE, path.parent / RECORDING_FILE) if is_given(f)), None)
     shown = None
     if recording is None:
         notice(str(path), "has no recording.rrd: the picture has no frame; run with --rerun for one")
     else:
         shown = recorded_frame(recording, [record.system_kind for record in records], frame)
-    figure = moment_figure({record.system_kind: record for record in records}, frame, shown)
+    figure = moment_figure({record.system_kind: record for record in records}, stamp_s, shown)
     write_file(out, figure.savefig)
     stamps_s = records[0].sequence.stamps_s
     say(f"{out}: frame {frame}, {stamps_s[frame] - stamps_s[0]:.2f} s")
 
 
-def _frame_at(at: str, records: "list[RunRecord]") -> int:
-    """The frame of a moment. Raises InputError if there is none."""
-    import numpy as np
-
+def _stamp_at(at: str, records: "list[RunRecord]") -> float:
+    """The stamp of a moment. Raises InputError if there is none."""
     from dslab.slam.core.events import Breakage, Fusion
 
-    events = [event for record in records for event in record.events]
+    events = [(record.sequence.stamps_s[event.frame], event) for record in records for event in record.events]
     found = {
-        "breakage": [event.frame for event in events if isinstance(event, Breakage)],
-        "fusion": [event.frame for event in events if isinstance(event, Fusion) and event.accepted],
+        "breakage": [stamp_s for stamp_s, event in events if isinstance(event, Breakage)],
+        "fusion": [stamp_s for stamp_s, event in events if isinstance(event, Fusion) and event.accepted],
     }
     if at in found:
         if not found[at]:
             raise InputError(f"--at {at}", f"there is no {at} in this run", "give seconds, such as --at 5")
         return min(found[at])
-    times_s = records[0].sequence.stamps_s - records[0].sequence.stamps_s[0]
+    first_s, last_s = records[0].sequence.stamps_s[[0, -1]]
     try:
         time_s = float(at)
     except ValueError:
         raise InputError(f"--at {at}", "is no moment", "give breakage, fusion or seconds") from None
-    if not 0 <= time_s <= times_s[-1] + 1:
-        raise InputError(f"--at {at}", f"the run is {times_s[-1]:.2f} s long", "give a time in it")
-    return int(np.abs(times_s - time_s).argmin())
+    if not 0 <= time_s <= last_s - first_s + 1:
+        raise InputError(f"--at {at}", f"the run is {last_s - first_s:.2f} s long", "give a time in it")
+    return first_s + time_s

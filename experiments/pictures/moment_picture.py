@@ -1,6 +1,6 @@
 """Picture of one moment of some runs: the frame with its features, the path so far, inliers over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Protocol
 
 import numpy as np
@@ -17,8 +17,6 @@ from dslab.experiments.runs.execution import RunRecord
 from dslab.experiments.runs.read_back import until
 from dslab.scenarios.describe import describe_kind
 
-_FEATURE, _INLIER = "#e0a030", "#20c060"
-
 
 class ShownFrame(Protocol):
     """A frame to be shown; see ``recording.recorded_frame``."""
@@ -33,7 +31,7 @@ class ShownFrame(Protocol):
     def inliers(self) -> Mapping[str, np.ndarray]: ...
 
 
-def moment_figure(records: Mapping[str, RunRecord], frame: int, shown: ShownFrame | None) -> Figure:
+def moment_figure(records: Mapping[str, RunRecord], stamp_s: float, shown: ShownFrame | None) -> Figure:
     """Draw a moment of some runs over one sequence.
 
     A row for each system has the frame with its features, and the path as far as this frame, aligned to the
@@ -41,7 +39,7 @@ def moment_figure(records: Mapping[str, RunRecord], frame: int, shown: ShownFram
 
     Args:
         records: one run per system, by name.
-        frame: the moment.
+        stamp_s: the moment; in real time each system has dropped frames of its own.
         shown: the recorded frame nearest to it; None for none.
     """
     sequence = next(iter(records.values())).sequence
@@ -55,6 +53,7 @@ def moment_figure(records: Mapping[str, RunRecord], frame: int, shown: ShownFram
         if shown is not None:
             _draw_frame(figure.add_subplot(panels[0]), shown, name)
         axes = figure.add_subplot(panels[-1])
+        frame = frame_at(record, stamp_s)
         early = drawn_run(name, until(record, frame), place)
         draw_path(axes, early, colors)
         _mark_camera(axes, early, frame)
@@ -66,14 +65,19 @@ def moment_figure(records: Mapping[str, RunRecord], frame: int, shown: ShownFram
     below = figure.add_subplot(rows[-1], sharex=inliers)
     draw_lanes(below, whole, colors)
     for axes in (inliers, below):
-        axes.axvline(_time_s(sequence.stamps_s, frame), color="black", linewidth=1.2, zorder=6)
+        axes.axvline(stamp_s - sequence.stamps_s[0], color="black", linewidth=1.2, zorder=6)
     legend_of(figure, [run.name for run in whole], colors)
     return figure
 
 
+def frame_at(record: RunRecord, stamp_s: float) -> int:
+    """The frame of a run that is nearest to a moment."""
+    return int(np.abs(record.sequence.stamps_s - stamp_s).argmin())
+
+
 def _draw_frame(axes: Axes, shown: ShownFrame, name: str) -> None:
     axes.imshow(shown.image, cmap="gray", vmin=0, vmax=255)
-    for points, color, size in ((shown.features, _FEATURE, 3), (shown.inliers, _INLIER, 7)):
+    for points, color, size in ((shown.features, palette.FEATURE, 3), (shown.inliers, palette.INLIER, 7)):
         if name in points:
             axes.scatter(*points[name].T, s=size, color=color, linewidths=0)
     counts = [len(points.get(name, ())) for points in (shown.inliers, shown.features)]
@@ -101,11 +105,8 @@ def _last_map(run: DrawnRun) -> np.ndarray:
 def _state(record: RunRecord, frame: int) -> str:
     result = record.results[frame]
     segments = ", ".join(map(describe_kind, record.sequence.kinds_at(frame)))
-    words = [f"{_time_s(record.sequence.stamps_s, frame):.2f} s, frame {frame}: {result.state}"]
+    stamps_s = record.sequence.stamps_s
+    words = [f"{stamps_s[frame] - stamps_s[0]:.2f} s, frame {frame}: {result.state}"]
     words += [result.reason] if result.reason else []
     words += [f"{result.inliers} inliers"] + ([f"under {segments}"] if segments else [])
     return label(", ".join(words).replace("_", " "))
-
-
-def _time_s(stamps_s: Sequence[float] | np.ndarray, frame: int) -> float:
-    return float(stamps_s[frame] - stamps_s[0])

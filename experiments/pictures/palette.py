@@ -19,6 +19,7 @@ TRUTH = "0.72"
 BREAKAGE = "#c00020"
 RECOVERED = "#30b040"
 HEALED = "#1b6b34"
+FEATURE, INLIER = "#e0a030", "#20c060"
 
 
 def system_color(name: str, place: int) -> str:

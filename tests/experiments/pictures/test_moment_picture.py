@@ -1,5 +1,6 @@
 """A moment of a run is drawn from its result folder: frame and features of the recording, path so far."""
 
+import json
 import shutil
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 import pytest
 from slam_fakes import fake_factory, make_sequence
 
+from dslab.experiments.pictures.moment_picture import frame_at
 from dslab.experiments.recording.recorded_frame import recorded_frame
 from dslab.experiments.result_folder import run_systems
 from dslab.experiments.runs.execution import execute
@@ -62,6 +64,29 @@ def test_a_run_without_a_recording_is_drawn_without_a_frame(dslab, made, tmp_pat
     (tmp_path / "base" / "groundtruth.txt").unlink()
     code, _, err = dslab("picture", tmp_path / "base", "--at", "9", "--out", tmp_path / "m.png")
     assert code == 0 and "run with --rerun" in err and (tmp_path / "m.png").is_file()
+
+
+def test_systems_that_dropped_frames_of_their_own_are_drawn_at_one_time(dslab, tmp_path):
+    """One had every third frame: the moment is beyond its last number, and at another one."""
+    sequence = make_sequence(120, segment=None)
+    for name, system in (("all", "base"), ("few", "dual")):
+        kept = sequence.only(np.arange(0, len(sequence), 1 if name == "all" else 3))
+        (tmp_path / "run" / name).mkdir(parents=True)
+        run_systems(kept, [system], 0, tmp_path / "run" / name, build=fake_factory(kept, breaks_at=30))
+    records = {name: read_record(tmp_path / "run" / name) for name in ("all", "few")}
+    stamp_s = records["all"].sequence.stamps_s[96]
+    assert [frame_at(record, stamp_s) for record in records.values()] == [96, 32]
+    code, _, err = dslab("picture", tmp_path / "run", "--at", "3.2", "--out", tmp_path / "m.png")
+    assert code == 0, err
+
+
+def test_runs_over_several_sequences_are_no_moment(dslab, made, tmp_path):
+    for name in ("one", "two"):
+        shutil.copytree(made[0] / "base", tmp_path / name)
+    summary = tmp_path / "two" / "summary.json"
+    summary.write_text(json.dumps(json.loads(summary.read_text()) | {"sequence": "other"}))
+    code, _, err = dslab("picture", tmp_path, "--out", tmp_path / "m.png")
+    assert code == 2 and "several sequences" in err and err.count("\n") == 1
 
 
 @pytest.mark.parametrize(
