@@ -43,7 +43,7 @@ def _doses(run: LeftRun) -> dict[_Field, float]:
         (place, segment["kind"], name): float(value)
         for place, segment in enumerate(run.summary["segments"])
         for name, value in segment["severity"].items()
-        if isinstance(value, int | float)
+        if isinstance(value, int | float) and not isinstance(value, bool)
     }
 
 

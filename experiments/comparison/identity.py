@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from collections.abc import Sequence as Many
+from itertools import chain, count
 from typing import Any
 
 from dslab.experiments.comparison.left_runs import LeftRun
@@ -46,7 +47,10 @@ def input_facts(run: LeftRun) -> dict[str, str]:
 
 
 def told_apart(names: Many[str], facts: Many[Mapping[str, str]]) -> list[str]:
-    """Names, where several are equal with facts in which they differ, as few as make them different."""
+    """Names, where several are equal with facts in which they differ, as few as make all different.
+
+    Where facts do not suffice, names are numbered.
+    """
     labels = list(names)
     for name in dict.fromkeys(names):
         own = [place for place, other in enumerate(names) if other == name]
@@ -57,6 +61,9 @@ def told_apart(names: Many[str], facts: Many[Mapping[str, str]]) -> list[str]:
             if len(set(values)) > 1:
                 for place, value in zip(own, values, strict=True):
                     labels[place] += f", {value}" if value else ""
+    for place, stem in enumerate(labels):
+        numbered = (f"{stem} ({number})" for number in count(2))
+        labels[place] = next(name for name in chain([stem], numbered) if name not in labels[:place])
     return labels
 
 

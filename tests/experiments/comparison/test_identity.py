@@ -2,13 +2,15 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from slam_fakes import FakeSystem, make_sequence
 
+from dslab.experiments.comparison.dose_groups import _doses
 from dslab.experiments.comparison.figures import comparison_content
 from dslab.experiments.comparison.identity import told_apart
-from dslab.experiments.comparison.left_runs import find_runs
+from dslab.experiments.comparison.left_runs import LeftRun, find_runs
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.result_folder import write_run
 from dslab.experiments.runs.inputs import hashed, input_digests
@@ -84,6 +86,18 @@ def test_names_that_differ_stay_as_they_are():
         "b",
         "a, q",
     ]
+
+
+def test_no_two_names_are_one():
+    """Neither where facts do not suffice, nor where a name is what another became."""
+    assert told_apart(["a", "a (2)", "a"], [{"x": "1"}] * 3) == ["a", "a (2)", "a (3)"]
+    assert len(set(told_apart(["a", "a", "a, 1"], [{"x": "1"}, {"x": "2"}, {}]))) == 3
+
+
+def test_what_is_on_or_off_is_no_dose():
+    segment = {"kind": "x", "severity": {"flipped": True, "share": 0.5}}
+    run = LeftRun(Path(), "", "", None, None, None, {"segments": [segment]})
+    assert _doses(run) == {(0, "x", "share"): 0.5}
 
 
 def test_an_input_is_every_frame_even_those_that_nobody_read():
