@@ -16,7 +16,7 @@ from dslab.experiments.comparison.dose_response import (
 )
 from dslab.experiments.report.plots.draw import rendered
 from dslab.experiments.report.plots.style import WIDE_IN, settings
-from dslab.sim.io.folders import write_file
+from dslab.sim.io.folders import subfolder, write_file
 
 DOSE_FILE, DOSE_PLOT = "dose_response.csv", "dose_response"
 
@@ -38,10 +38,7 @@ def write_dose_response(rows: pd.DataFrame, series: DoseSeries, folder: Path) ->
     if not points:
         return []
     write_file(folder / DOSE_FILE, lambda path: dose_table(points).to_csv(path, index=False))
-    place = folder / FIGURES_DIR
-    place.mkdir(exist_ok=True)
     with settings():
-        plot = rendered(DOSE_PLOT, "", draw_dose_response(points, dose_axis(*series.about), WIDE_IN))
-    for form, content in (("svg", plot.svg), ("png", plot.png)):
-        write_file(place / f"{DOSE_PLOT}.{form}", lambda path, content=content: path.write_bytes(content))
+        figure = draw_dose_response(points, dose_axis(*series.about), WIDE_IN)
+        rendered(DOSE_PLOT, "", figure).write(subfolder(folder, FIGURES_DIR))
     return points

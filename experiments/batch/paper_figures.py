@@ -34,7 +34,7 @@ from dslab.experiments.report.plots.style import (
     settings,
 )
 from dslab.experiments.result_folder import TRUTH_FILE
-from dslab.sim.io.folders import subfolder, write_file
+from dslab.sim.io.folders import subfolder
 
 FIGURES_DIR = "figures"
 MOST_SEQUENCES = 6
@@ -65,10 +65,7 @@ def write_figures(rows: pd.DataFrame, folder: Path) -> list[Path]:
             figure = draw(*arguments)
             if figure is None:
                 continue
-            plot = rendered(name, "", figure)
-            for form, content in (("svg", plot.svg), ("png", plot.png)):
-                write_file(place / f"{name}.{form}", lambda path, content=content: path.write_bytes(content))
-            written.append(place / f"{name}.png")
+            written.append(rendered(name, "", figure).write(place))
     return written
 
 

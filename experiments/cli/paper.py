@@ -56,9 +56,7 @@ def _write(figures: dict[str, Any], out_dir: Path) -> None:
     from dslab.sim.io.folders import new_directory
 
     with settings(), new_directory(out_dir) as partial:
-        plot = rendered("paper", "Prediction of Eq. 1 and published failures", draw_paper(figures["rows"]))
-        (partial / "paper.svg").write_bytes(plot.svg)
-        (partial / "paper.png").write_bytes(plot.png)
+        rendered("paper", "", draw_paper(figures["rows"])).write(partial)
         (partial / "paper.json").write_text(to_json(figures, indent=1) + "\n", encoding="utf-8")
 
 

@@ -17,14 +17,12 @@ class Scene:
 
     Attributes:
         T_world_cam: (N, 4, 4) float64 true poses, NaN where unknown; None without truth.
-        alignments: alignment to the world per map id of the live poses; maps without one are left out.
         final: final paths in the world per map id, of the maps that can be aligned.
         up: (3,) unit vector, the mean upward direction of the camera, to the nearest axis.
         centre, extent: of all paths drawn, metres or map units.
     """
 
     T_world_cam: np.ndarray | None
-    alignments: dict[int, Similarity]
     final: dict[int, MapTrajectory]
     up: np.ndarray
     centre: np.ndarray
@@ -33,8 +31,6 @@ class Scene:
 
 def lay_out(record: RunRecord) -> Scene:
     """Align the maps of a run to the world; without truth each stays in its own frame."""
-    alignments = {k: _placement(record, t) for k, t in record.live.items()}
-    placed = {k: a for k, a in alignments.items() if isinstance(a, Similarity)}
     final = {}
     for trajectory in record.trajectories:
         alignment = _placement(record, trajectory)
@@ -46,7 +42,7 @@ def lay_out(record: RunRecord) -> Scene:
     poses = np.concatenate([np.empty((0, 4, 4)), *known, *(t.T_map_cam for t in final.values())])
     positions = poses[:, :3, 3] if len(poses) else np.zeros((1, 3))
     low, high = positions.min(axis=0), positions.max(axis=0)
-    return Scene(truth, placed, final, _up(poses), (low + high) / 2, max(float((high - low).max()), 1e-3))
+    return Scene(truth, final, _up(poses), (low + high) / 2, max(float((high - low).max()), 1e-3))
 
 
 def together(scenes: Sequence[Scene]) -> Scene:
@@ -54,7 +50,7 @@ def together(scenes: Sequence[Scene]) -> Scene:
     low = np.min([s.centre - s.extent / 2 for s in scenes], axis=0)
     high = np.max([s.centre + s.extent / 2 for s in scenes], axis=0)
     first = scenes[0]
-    return Scene(first.T_world_cam, {}, {}, first.up, (low + high) / 2, float((high - low).max()))
+    return Scene(first.T_world_cam, {}, first.up, (low + high) / 2, float((high - low).max()))
 
 
 def _placement(record: RunRecord, trajectory: MapTrajectory) -> Similarity | Undefined:

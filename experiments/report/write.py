@@ -64,8 +64,7 @@ def write_files(report: dict[str, Any], folder: Path) -> Path:
     # Replaced as a whole, so that no plot of an earlier report stays.
     with new_directory(folder / PLOTS, replaces="*") as place:
         for plot in plots.values():
-            (place / f"{plot.name}.svg").write_bytes(plot.svg)
-            (place / f"{plot.name}.png").write_bytes(plot.png)
+            plot.write(place)
     texts = {PAGE: page}
     if not _says_the_same(folder / FIGURES, report):
         texts[FIGURES] = to_json(report, indent=1) + "\n"

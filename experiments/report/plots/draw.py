@@ -21,6 +21,7 @@ from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, settings
 from dslab.experiments.report.plots.systems import draw_systems
 from dslab.experiments.report.plots.trials import draw_end_errors, draw_timeline
 from dslab.experiments.report.recordings import read_paths
+from dslab.sim.io.folders import write_file
 
 _PNG_DPI = 110
 
@@ -56,10 +57,15 @@ class Plot:
     narrow: Image
     png: bytes
 
-    @property
-    def svg(self) -> bytes:
-        """The wide drawing as SVG."""
-        return self.wide.svg
+    def write(self, folder: Path) -> Path:
+        """Write the wide drawing as SVG and PNG; returns the path of the PNG.
+
+        Raises:
+            InputError: the files cannot be written.
+        """
+        for form, content in (("svg", self.wide.svg), ("png", self.png)):
+            write_file(folder / f"{self.name}.{form}", partial(Path.write_bytes, data=content))
+        return folder / f"{self.name}.png"
 
 
 def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
