@@ -19,7 +19,7 @@ from dslab.sim.degradations.truth import truths_of
 from dslab.sim.degradations.turned_view import TurnedView
 from dslab.sim.io.raw import RawFrames, RawWriter
 from dslab.sim.link import USUAL_EXPOSURE_S, View, fold
-from dslab.sim.sequence import FrameSource, InColour, Sequence, colour_frame
+from dslab.sim.sequence import FrameSource, InColour, Sequence
 
 
 class _AsRecorded:
@@ -89,7 +89,7 @@ def degrade_sequence(
             stamp_s, open_s = float(plan.stamps_s[index]), float(exposure_s[index])
             taken = View(frame, stamp_s, depth_m=depth_m, exposure_s=open_s, index=index)
             image = fold(links, image, taken)[0]
-            grays.append(_gray(image, sequence, frame, view) if shown.is_coloured else image)
+            grays.append(_gray(image, retake, sequence, frame, view) if shown.is_coloured else image)
             for stack in colours:
                 stack.append(image)
             if progress:
@@ -119,9 +119,9 @@ def degrade_sequence(
     )
 
 
-def _gray(image: np.ndarray, sequence: Sequence, frame: int, view: TurnedView) -> np.ndarray:
+def _gray(image: np.ndarray, retake: Retake, sequence: Sequence, frame: int, view: TurnedView) -> np.ndarray:
     """(h, w) uint8 gray of a degraded frame: the recording's own where nothing changed, else as if read."""
-    if np.array_equal(image, view.crop(colour_frame(sequence.frames, frame))):
+    if np.array_equal(image, view.crop(retake.recorded(frame))):
         return view.crop(sequence.frames[frame])
     # Decoders weigh colours each in its way: this is how the written folder will be read.
     encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 0])[1]

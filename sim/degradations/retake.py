@@ -1,7 +1,7 @@
 """Recorded frames taken again: turned, faded and with a longer shutter, as a frame plan says."""
 
 import math
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -43,6 +43,9 @@ class Retake:
             frames that fade together.
         view: the window of the turned camera.
         shown: what the result shows, ``sequence.frames`` or these in colour; the motion is found in gray.
+
+    Attributes:
+        recorded: the frame of a number in ``shown``; those of one exposure are kept.
     """
 
     def __init__(
@@ -53,6 +56,7 @@ class Retake:
         self._contrast = np.where(plan.view_share > 0, plan.contrast, 1.0).prod(axis=1)
         interval_s = np.diff(plan.stamps_s).min(initial=np.inf)
         intervals = 2 + int(plan.exposure_s.max(initial=0.0) / interval_s)
+        self.recorded = lru_cache(intervals + 1)(self._shown.__getitem__)
         self._between = FrameInterpolation(
             lambda frame: sequence.frames[frame], self._light, plan.stamps_s, intervals
         )
@@ -79,7 +83,7 @@ class Retake:
 
     def _light(self, frame: int) -> np.ndarray:
         """(H, W) float32 light of a recorded frame, faded; of one in colour (H, W, 3), here as below."""
-        light = decode(self._shown[frame])
+        light = decode(self.recorded(frame))
         return fade(light, float(self._contrast[frame]), self._sequence.camera)
 
     def _smear_px(self, stamp_s: float, open_s: float) -> np.ndarray:

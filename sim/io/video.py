@@ -29,7 +29,6 @@ _REMEDY = "give a video that FFmpeg decodes, or its images as a folder"
 _MOST_FPS = 1000.0
 # A container without a list of its frames gives their number by duration and mean rate.
 _MOST_LACKING = 0.02
-_KEPT = 4  # frames in colour: neighbours are asked for more than once
 
 
 def is_video(path: str | Path) -> bool:
@@ -97,7 +96,6 @@ class _VideoFrames:
         self._path, self._grays = path, grays
         self._files, self._next = ExitStack(), 0
         self._video: cv2.VideoCapture | None = None
-        self._recent: dict[int, np.ndarray] = {}
         weakref.finalize(self, self._files.close)
 
     def __len__(self) -> int:
@@ -108,14 +106,6 @@ class _VideoFrames:
 
     def colour(self, index: int) -> np.ndarray:
         """See ``colour_frame``. Raises InputError if it cannot be decoded."""
-        if index not in self._recent:
-            image = self._decoded(index)
-            self._recent[index] = image if image.ndim == 3 else self[index]
-            if len(self._recent) > _KEPT:
-                self._recent.pop(next(iter(self._recent)))
-        return self._recent[index].copy()
-
-    def _decoded(self, index: int) -> np.ndarray:
         if self._video is None or index < self._next:
             self._files.close()
             self._video, self._next = self._files.enter_context(_opened(self._path)), 0
@@ -125,7 +115,7 @@ class _VideoFrames:
         self._next += 1
         if not done:
             raise InputError(f"{self._path}: frame {index}", "cannot be decoded", _REMEDY)
-        return np.asarray(image)
+        return np.asarray(image) if image.ndim == 3 else self[index]
 
 
 def _properties(path: Path) -> tuple[int, int, float | None, int]:

@@ -138,3 +138,19 @@ def test_a_video_is_degraded_in_colour(tmp_path):
     blurred = degrade_sequence(source, [parse_segment(BRIGHTER)], 0, tmp_path)
     assert (colour_frame(blurred.frames, 3)[..., 2] == 255).mean() > 0.3
     np.testing.assert_array_equal(blurred.frames[0], source.frames[0])
+
+
+def test_a_long_exposure_decodes_a_video_in_order(tmp_path, monkeypatch):
+    """From the beginning for the look at its colours, for the noise level and for the frames, no more."""
+    path = tmp_path / "walk.avi"
+    video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, SIDE[::-1])
+    for image in scene(colour=True) * 5:
+        video.write(image)
+    video.release()
+    (tmp_path / "camera.yaml").write_text("fx: 50\nfy: 50\ncx: 30\ncy: 20\nwidth: 64\nheight: 48\nfps: 30\n")
+    source, opened = load_sequence(path, tmp_path / "camera.yaml"), []
+    capture = cv2.VideoCapture
+    monkeypatch.setattr(cv2, "VideoCapture", lambda *given: opened.append(1) or capture(*given))
+    text = "motion_blur:start_s=0.3,duration_s=0.4,exposure_s=0.4"
+    degrade_sequence(source, [parse_segment(text)], 0, tmp_path)
+    assert len(opened) <= 4
