@@ -175,10 +175,7 @@ def execute(
         results.append(without_features(result))
         if progress is not None:
             progress(index + 1, len(sequence))
-    if unread and not fed:
-        raise unread[0]
-    if unread:
-        notice(unread[0].where, f"{unread[0].problem}; {len(unread)} frames that cannot be read are left out")
+    tell_unread(unread, len(fed))
     started = time.perf_counter()
     system.finish()
     wall_s += time.perf_counter() - started
@@ -189,6 +186,14 @@ def execute(
         at_end(system, sequence)
     record = record_of(system, sequence, system_kind, seed, results, wall_s, dropped - len(unread))
     return replace(record, unreadable_frames=len(unread))
+
+
+def tell_unread(faults: Many[InputError], fed: int) -> None:
+    """Say that frames cannot be read and are left out. Raises the first fault if none is ``fed``."""
+    if faults and not fed:
+        raise faults[0]
+    if faults:
+        notice(faults[0].where, f"{faults[0].problem}; {len(faults)} frames that cannot be read are left out")
 
 
 def record_of(

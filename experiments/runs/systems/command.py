@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from dslab.experiments.runs.ending import Declares, Ending, EndKind
-from dslab.experiments.runs.execution import Observer, RunRecord, live_trajectories
+from dslab.experiments.runs.execution import Observer, RunRecord, live_trajectories, tell_unread
 from dslab.experiments.runs.systems.command_spec import CommandSpec, filled
 from dslab.experiments.runs.systems.environments import python_of
 from dslab.experiments.runs.systems.guarded import GuardedRun, run_guarded
@@ -82,6 +84,26 @@ def write_blind(sequence: Sequence, reads: str, folder: Path) -> None:
     write_sequence(blind, folder, Form(reads), colour=False)
 
 
+def _write_readable(sequence: Sequence, reads: str, folder: Path) -> tuple[Sequence, int]:
+    """As ``write_blind``; returns the sequence without frames that cannot be read, and their number."""
+    try:
+        write_blind(sequence, reads, folder)
+        return sequence, 0
+    except InputError:
+        faults: dict[int, InputError] = {}
+        for index in range(len(sequence)):
+            try:
+                sequence.frames[index]
+            except InputError as fault:
+                faults[index] = fault
+        if not faults:
+            raise
+    left = sequence.only(np.setdiff1d(np.arange(len(sequence)), list(faults)))
+    tell_unread(list(faults.values()), len(left))
+    write_blind(left, reads, folder)
+    return left, len(faults)
+
+
 def run_command(
     system: CommandSystem,
     sequence: Sequence,
@@ -103,7 +125,7 @@ def run_command(
         progress: called with (frames done, frames in all).
 
     Raises:
-        InputError: the program cannot be started, or its form cannot hold the sequence.
+        InputError: the program cannot be started, its form cannot hold the sequence, or no frame can be read.
     """
     words, spec = system.check(), system.spec
     settings, values = dict(spec.settings), {**system._fixed(), "seed": seed}
@@ -115,11 +137,11 @@ def run_command(
     with scratch_folder() as scratch:
         frames, left, kept = scratch / "sequence", scratch / "left", folder or scratch
         left.mkdir()
-        write_blind(sequence, spec.reads, frames)
+        sequence, unread = _write_readable(sequence, spec.reads, frames)
         (kept / SETTINGS_FILE).write_text(json.dumps(settings, indent=2) + "\n", encoding="utf-8")
         values |= {"sequence": frames, "out": left, "settings": kept / SETTINGS_FILE}
         run = run_guarded(filled(words, values), kept / LOG_FILE, time_s, spec.limits.memory_mb, left)
-        record = _record(system, sequence, seed, left, run, config)
+        record = replace(_record(system, sequence, seed, left, run, config), unreadable_frames=unread)
     _show(record, observer, progress)
     return record
 

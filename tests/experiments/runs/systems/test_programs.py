@@ -21,7 +21,7 @@ from dslab.experiments.runs.ending import Declares, EndKind
 from dslab.experiments.runs.systems import guarded
 from dslab.experiments.runs.systems.command import LOG_FILE, run_command
 from dslab.experiments.runs.systems.command_spec import read_command_spec
-from dslab.scenarios.errors import InputError
+from dslab.scenarios.errors import InputError, InputNotice
 from dslab.sim.io.forms import load_sequence
 from dslab.sim.io.tum import write_tum
 from dslab.sim.unfinished import sweep_scratch
@@ -57,8 +57,17 @@ def test_its_poses_are_judged_as_ours(run):
 def test_it_is_given_frames_and_camera_and_no_truth(run, tmp_path):
     run(f"import shutil; shutil.copytree(seq, {str(tmp_path / 'seen')!r})")
     files = {path.name: path for path in (tmp_path / "seen").iterdir()}
-    assert set(files) == {"camera.yaml", "orbslam3.yaml", "rgb", "rgb.txt", "meta.json", "segments.json"}
+    assert set(files) == {"camera.yaml", "rgb", "rgb.txt", "meta.json", "orbslam3.yaml", "segments.json"}
     assert json.loads(files["segments.json"].read_text()) == [] and len(files["meta.json"].read_text()) < 40
+
+
+def test_a_damaged_image_is_left_out_and_counted(run, tmp_path, sequence):
+    write_tum(sequence, tmp_path / "own")
+    (tmp_path / "own" / "rgb" / "000020.png").write_bytes(b"no image")
+    with pytest.warns(InputNotice, match="000020.png.*1 frames that cannot be read are left out"):
+        record = run(of=load_sequence(tmp_path / "own"))
+    assert record.unreadable_frames == 1 and len(record.results) == FRAMES - 1
+    assert record.ending.kind is EndKind.FINISHED
 
 
 def test_what_it_does_to_its_frames_reaches_no_other_run(run, tmp_path, sequence):
