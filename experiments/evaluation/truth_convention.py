@@ -67,7 +67,10 @@ def _steps(pairs: PosePairs, stamps_s: np.ndarray) -> tuple[np.ndarray, np.ndarr
     times_s = stamps_s[pairs.frames]
     if not len(times_s):
         return np.empty(0, int), np.empty(0, int)
-    marks = np.searchsorted(times_s, np.arange(times_s[0], times_s[-1], STEP_S))
+    steps = np.unique((times_s - times_s[0]) // STEP_S)
+    # Of a gap, which may be of years, its ends alone.
+    begins_s = times_s[0] + STEP_S * np.union1d(steps, steps + 1)
+    marks = np.searchsorted(times_s, begins_s[begins_s < times_s[-1]])
     starts, ends = marks[:-1], marks[1:]
     whole = np.abs(times_s[ends] - times_s[starts] - STEP_S) < STEP_S / 2
     return starts[whole], ends[whole]

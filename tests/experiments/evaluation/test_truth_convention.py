@@ -1,6 +1,7 @@
 """A truth in another convention than it is read in is told by how the estimate turns."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from slam_fakes import fake_factory, make_sequence
 from dslab.experiments.evaluation.audit_text import audit_text
 from dslab.experiments.evaluation.metrics import Truth
 from dslab.experiments.evaluation.summary import summarise
-from dslab.experiments.evaluation.truth_convention import truth_fault
+from dslab.experiments.evaluation.truth_convention import _steps, truth_fault
 from dslab.experiments.runs.execution import execute
 from dslab.slam.core.results import MapTrajectory
 
@@ -79,6 +80,13 @@ def test_few_poses_and_a_still_camera_say_nothing():
     assert truth_fault(Truth(t, wrong), estimate(t[:30], T[:30])) == ""
     T[:] = np.eye(4)
     assert truth_fault(Truth(t, T), estimate(t, T, 0.0)) == ""
+
+
+def test_a_gap_of_years_costs_nothing():
+    """As where the first stamp is 0 and the others are of today."""
+    stamps_s = np.concatenate([[0.0], 1.7e9 + np.arange(90) / 30])
+    starts, ends = _steps(SimpleNamespace(frames=np.arange(91)), stamps_s)
+    assert (stamps_s[ends] - stamps_s[starts]).round(1).tolist() == [1.0, 1.0]
 
 
 def test_a_run_s_audit_is_not_to_be_trusted_then():
