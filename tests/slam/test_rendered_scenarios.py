@@ -19,8 +19,11 @@ pytestmark = pytest.mark.slow
 
 
 def rendered(name, seed, **changes):
-    """The sequence of a scenario with other fields."""
-    return render_sequence(load_scenario(name, seed).model_copy(update=changes))
+    """The sequence of a scenario with other fields; of a shorter one with the segments that it still has."""
+    scenario = load_scenario(name, seed)
+    end_s = changes.get("duration_s", scenario.duration_s)
+    held = tuple(segment for segment in scenario.segments if segment.start_s + segment.duration_s <= end_s)
+    return render_sequence(scenario.model_copy(update={"segments": held, **changes}))
 
 
 def base(sequence):
