@@ -16,8 +16,13 @@ def picture_command(
     path: Annotated[Path, typer.Argument(help="A result folder, of one system or of several.")],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PNG file.")],
     at: Annotated[
-        str, typer.Option(metavar="MOMENT", help="breakage or fusion, the first, or seconds from the start.")
-    ] = "breakage",
+        str | None,
+        typer.Option(
+            metavar="MOMENT",
+            help="breakage or fusion, the first, or seconds from the start; default: the first breakage, "
+            "or the end of a run without one.",
+        ),
+    ] = None,
 ) -> None:
     """Draw a moment of a run as a PNG: the frame with its features, the path so far, inliers over time.
 
@@ -56,7 +61,7 @@ def picture_command(
     say(f"{out}: frame {frame}, {stamps_s[frame] - stamps_s[0]:.2f} s")
 
 
-def _stamp_at(at: str, records: "list[RunRecord]") -> float:
+def _stamp_at(at: str | None, records: "list[RunRecord]") -> float:
     """The stamp of a moment. Raises InputError if there is none."""
     from dslab.slam.core.events import Breakage, Fusion
 
@@ -65,6 +70,8 @@ def _stamp_at(at: str, records: "list[RunRecord]") -> float:
         "breakage": [stamp_s for stamp_s, event in events if isinstance(event, Breakage)],
         "fusion": [stamp_s for stamp_s, event in events if isinstance(event, Fusion) and event.accepted],
     }
+    if at is None:
+        return min(found["breakage"], default=float(records[0].sequence.stamps_s[-1]))
     if at in found:
         if not found[at]:
             raise InputError(f"--at {at}", f"there is no {at} in this run", "give seconds, such as --at 5")

@@ -59,6 +59,14 @@ def test_a_moment_is_a_png_without_a_display(dslab, made, tmp_path, monkeypatch,
     assert cv2.imread(str(tmp_path / "m.png")).std() > 10
 
 
+def test_without_a_moment_it_is_the_first_breakage_or_the_end(dslab, made, tmp_path):
+    shutil.copytree(made[0] / "base", tmp_path / "whole")
+    (tmp_path / "whole" / "events.jsonl").write_text("")
+    for folder, said in ((made[0], "frame 160"), (tmp_path / "whole", "frame 299")):
+        code, out, _ = dslab("picture", folder, "--out", tmp_path / "m.png")
+        assert code == 0 and said in out
+
+
 def test_a_run_without_a_recording_is_drawn_without_a_frame(dslab, made, tmp_path):
     shutil.copytree(made[0] / "base", tmp_path / "base")
     (tmp_path / "base" / "groundtruth.txt").unlink()
