@@ -13,8 +13,8 @@ Bounds = Literal["share", "amount", "event"]
 """A share is from 0 to 1, an amount from 0 up; an event is 0 or 1, or its share among several runs."""
 ALIKE = "all alike"
 """Why repeats that are equal have no interval."""
-SAME = 1e-9
-"""Values that differ by less, relative to the largest, are equal: what is left is rounding."""
+SAME = 1e-6
+"""Values that differ by less, relative to the largest, are equal: what rounding leaves of a map adjusted."""
 
 
 @dataclass(frozen=True)

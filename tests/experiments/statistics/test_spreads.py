@@ -17,6 +17,7 @@ def test_no_interval_leaves_the_bounds():
     ("values", "mean", "reason"),
     [
         ([0.85, 0.85 + 1e-12, 0.85], 0.85, "all alike"),
+        ([0.02217992184, 0.02217992201], 0.0221799219, "all alike"),
         ([0.0, 0.0], 0.0, "all alike"),
         ([3.0, None, float("nan")], 3.0, "one run"),
         ([None], None, "no run"),
