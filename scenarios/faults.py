@@ -12,6 +12,9 @@ from dslab.scenarios.kinds import models_in
 from dslab.scenarios.spec import Scenario
 from dslab.scenarios.yaml_file import Location
 
+OWN_KIND = "; one of your own comes with DSLAB_PLUGINS=file.py"
+"""End of the remedy where a kind is not known: it may be registered in a file that was not named."""
+
 
 def guess(given: str, allowed: list[str]) -> str:
     """Suggest an allowed word as the start of a remedy; empty if none is similar."""
@@ -81,7 +84,8 @@ def _explained(fault: Any, extra_keys: tuple[str, ...], root: type[BaseModel]) -
         tags = str(context.get("expected_tags") or ", ".join(_kinds(location, root))).replace("'", "")
         given = str(context.get("tag", ""))
         problem = f"unknown kind {given!r}" if given else "is missing"
-        return (*location, "kind"), problem, f"use {guess(given, tags.split(', '))}one of {tags}"
+        own = OWN_KIND if given else ""
+        return (*location, "kind"), problem, f"use {guess(given, tags.split(', '))}one of {tags}{own}"
     return location, *problem_and_remedy(fault)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from dslab.scenarios.errors import InputError
-from dslab.scenarios.faults import guess, problem_and_remedy
+from dslab.scenarios.faults import OWN_KIND, guess, problem_and_remedy
 from dslab.scenarios.segments import SEGMENT_KINDS, SegmentBase
 
 # Commas within a list part its values.
@@ -29,7 +29,7 @@ def parse_segment(text: str) -> SegmentBase:
         raise InputError(
             f"segment {text!r}",
             f"unknown kind {kind!r}",
-            f"use {guess(kind, kinds)}one of {', '.join(kinds)}",
+            f"use {guess(kind, kinds)}one of {', '.join(kinds)}{OWN_KIND}",
         )
     model = SEGMENT_KINDS[kind]
     values: dict[str, Any] = {"kind": kind}

@@ -20,7 +20,7 @@ def test_a_text_gives_the_segment_with_its_defaults():
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("jpg:start_s=0", "unknown kind 'jpg'"),
+        ("jpg:start_s=0", "unknown kind 'jpg'.*of your own comes with DSLAB_PLUGINS"),
         ("jpeg:start_s=0,duration_s=1,quality", "is no key=value"),
         ("jpeg:start_s=0,start_s=1,duration_s=1,quality=9", "start_s: is given twice"),
         ("jpeg:start_s=0,duration_s=1,qualty=9", "qualty.*unknown key"),
