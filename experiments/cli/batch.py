@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 
     from dslab.experiments.batch.doses import DoseSeries
 
+_WORDS = (
+    "Intact map: from the first pose to the end one map has no gap of more than 5 s; a run that is lost for "
+    "less than that at its end has one. False / decl.: loops, relocalizations and fusions that are false, of "
+    "those declared. Complete: frames with a final pose in the largest map; ATE is over these."
+)
+
 
 def batch_command(
     batch: Annotated[Path, typer.Argument(metavar="SPEC.yaml", help="The batch.")],
@@ -54,7 +60,7 @@ def batch_command(
     from dslab.experiments.batch.run import CSV_FILE, run_batch
     from dslab.experiments.batch.spec import read_batch
     from dslab.experiments.batch.table import PAIRS_FILE, pairs, sums
-    from dslab.experiments.cli.run_tables import dose_row
+    from dslab.experiments.cli.run_tables import INTERVALS, dose_row
     from dslab.experiments.comparison.dose_response import dose_axis, dose_table
     from dslab.scenarios.errors import notice
     from dslab.sim.io.folders import write_file
@@ -78,11 +84,14 @@ def batch_command(
         )
         print_json_line({name: _records(table) for name, table in tables.items()})
     else:
-        out.print("medians over the runs")
+        out.print("medians over the runs, and sums of breakages and declarations")
         for _, own in found.groupby(["source", "dose"], sort=False, dropna=False):
             print_rows(map(_sum_row, _records(own)), short_name(own.source.iloc[0]) + _at(own, spec.series))
+        out.print(_WORDS)
         if points and spec.series:
-            print_rows(map(dose_row, points), f"against the dose: {dose_axis(*spec.series.about)}")
+            print_rows(
+                map(dose_row, points), f"against the dose, {INTERVALS}: {dose_axis(*spec.series.about)}"
+            )
         if len(beside):
             print_rows(_beside(beside), f"over {rows.system.iloc[0]}, the same frames")
         for _, own in rescued.groupby(["source", "dose"], dropna=False) if len(rescued) else ():

@@ -38,7 +38,7 @@ def compare_command(
 
     `dslab compare out/kitti --out out/kitti-page`
     """
-    from dslab.experiments.cli.run_tables import dose_row
+    from dslab.experiments.cli.run_tables import INTERVALS, dose_row
     from dslab.experiments.comparison.page import PAGE_FILE, compare_runs
 
     content = compare_runs(folders, out_dir)
@@ -49,10 +49,13 @@ def compare_command(
     for sequence in content["sequences"]:
         print_rows(_rows(sequence), sequence["name"])
     for series in content["dose_series"]:
-        print_rows(map(dose_row, series["points"]), f"against the dose: {series['axis']}")
+        print_rows(map(dose_row, series["points"]), f"against the dose, {INTERVALS}: {series['axis']}")
     for sequence in content["sequences"]:
+        audits: dict[str, list[str]] = {}
         for system in sequence["systems"]:
-            say(f"{sequence['name']}, {system['name']}: {system['audit']}")
+            audits.setdefault(system["audit"], []).append(system["name"])
+        for said, systems in audits.items():
+            say(f"{sequence['name']}, {', '.join(systems)}: {said}")
     say(f"page  {out_dir / PAGE_FILE}")
 
 

@@ -76,6 +76,9 @@ def summary_table(summary: dict) -> Table:
     return table
 
 
+INTERVALS = "95 % intervals below"
+"""What the second lines of :func:`dose_row` are."""
+
 _TRY = {
     "too_few_keypoints": "images show too few corners: try larger, brighter or sharper ones",
     "too_few_matches": "successive images have little in common: try a higher frame rate, or less blur",

@@ -113,6 +113,16 @@ def test_what_the_audit_found_is_said_as_after_the_run(runs, tmp_path, dslab):
     assert of_two in page and of_two in " ".join(out.split())
 
 
+def test_systems_of_which_the_audit_says_the_same_share_a_line(runs, tmp_path, dslab):
+    for name in ("one", "other"):
+        shutil.copytree(runs / "a", tmp_path / "in" / name)
+        summary = tmp_path / "in" / name / "summary.json"
+        summary.write_text(json.dumps(json.loads(summary.read_text()) | {"system": name}))
+    code, out, _ = dslab("compare", tmp_path / "in", "--out", tmp_path / "page")
+    page = (tmp_path / "page" / PAGE_FILE).read_text()
+    assert code == 0 and "<p>one, other: audit by" in page and "one, other: audit" in " ".join(out.split())
+
+
 def test_the_command_prints_a_row_per_system(runs, tmp_path, dslab):
     code, out, _ = dslab("compare", str(runs), "--out", str(tmp_path / "page"))
     assert code == 0 and [word for word in out.split() if word in ("base", "dual")] == ["base", "dual"]
