@@ -204,7 +204,7 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
                 "cell": cell.cell,
                 "units": cell.units if cell.budget is None else f"{cell.units} / {cell.budget}",
                 "count": cell.completed,
-                "no\nstress": cell.unexposed,
+                "not\nexposed": cell.unexposed,
                 "void": cell.void,
                 "errors": cell.errors,
                 "break": cell.breakages,

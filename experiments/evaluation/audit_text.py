@@ -27,9 +27,9 @@ def audit_text(summary: dict[str, Any]) -> str:
     parts = [f"not to be trusted, as {audit['truth_fault']}"] if audit.get("truth_fault") else []
     parts += [losses, *silence_parts(summary)]
     parts += [_false(one, many, audit[many]) for one, many in _DECLARED.items() if audit[many]]
-    unjudged = sum(f["silent"] is None for f in audit["losses"])
-    unjudged += sum(row["false"] is None for many in _DECLARED.values() for row in audit[many])
-    parts += [f"{unjudged} not judged"] if unjudged else []
+    unjudged = [f["reason"] for f in audit["losses"] if f["silent"] is None]
+    unjudged += [row["reason"] for many in _DECLARED.values() for row in audit[many] if row["false"] is None]
+    parts += [f"{len(unjudged)} not judged ({', '.join(dict.fromkeys(unjudged))})"] if unjudged else []
     return f"audit by the truth: {'; '.join(parts)}"
 
 
@@ -63,7 +63,7 @@ def silence_parts(summary: dict[str, Any]) -> list[str]:
         live = summary["audit"]["live"]
         share = live["judged"] / live["poses"]
         if share < 0.995:  # what rounds to all is all
-            losses += f", looked for in {100 * share:.0f} % of the live poses ({live['reason']})"
+            losses += f", not looked for in {100 * (1 - share):.0f} % of the live poses ({live['reason']})"
     unlooked = f"corrupted maps not looked for: {why_not_maps}" if why_not_maps else "no corrupted maps"
     return [losses, *(corrupted or [unlooked])]
 

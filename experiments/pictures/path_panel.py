@@ -123,7 +123,8 @@ def _headline(run: DrawnRun) -> str:
 
 def _unit(run: DrawnRun, drawn: int) -> str:
     hidden = len(run.record.trajectories) - drawn
+    maps = "map" if hidden == 1 else "maps"
     if run.scene.T_world_cam is None:
-        others = f"; {hidden} smaller map(s), each in a frame of its own, not drawn" if hidden else ""
+        others = f"; {hidden} smaller {maps}, each in a frame of its own, not drawn" if hidden else ""
         return f"no truth: units of the map{others}"
-    return f"m; {hidden} map(s) not drawn, too small to align" if hidden else "m"
+    return f"m; {hidden} {maps} not drawn, too small to align" if hidden else "m"

@@ -178,7 +178,7 @@ def test_of_a_part_it_is_said_which_and_of_several_runs_how_many():
     truth = circle(450)
     truth[225:] = np.nan
     part, lost = judged(truth), judged(drift_from=260)
-    assert "no silent losses, looked for in 49 % of the live poses (no true pose)" in audit_text(part)
+    assert "no silent losses, not looked for in 51 % of the live poses (no true pose)" in audit_text(part)
     assert runs_text([part, lost, part | {"audit": None}]) == (
         "audit by the truth, of 3 runs: silent losses in 1, corrupted maps in 1, not looked for in 1"
     )
