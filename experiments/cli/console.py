@@ -81,7 +81,8 @@ SystemsOption = Annotated[
     ),
 ]
 SourceArgument = Annotated[
-    str, typer.Argument(help="A sequence folder or ROS bag, a scenario's name or its YAML file.")
+    str,
+    typer.Argument(help="A sequence folder, images, a video or ROS bag, or a scenario's name or YAML file."),
 ]
 CameraOption = Annotated[
     Path | None,

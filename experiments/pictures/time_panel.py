@@ -64,7 +64,7 @@ def draw_lanes(axes: Axes, runs: Many[DrawnRun], segment_colors: dict[str, str])
     axes.set_ylim(len(runs) - 0.4, -0.6)
     axes.set_yticks(range(len(runs)), [run.name for run in runs])
     axes.tick_params(labelsize=8, left=False)
-    axes.set_xlabel("s since the first frame", fontsize=8)
+    axes.set_xlabel("s since the first frame; bars where frames have a pose in the end", fontsize=8)
 
 
 def draw_spans(axes: Axes, run: DrawnRun, segment_colors: dict[str, str]) -> None:

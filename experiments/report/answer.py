@@ -250,8 +250,10 @@ def _chance(analysis: dict[str, Any]) -> str:
 
 def _limits(results: dict[str, Any]) -> str:
     aside, units = results["set_aside"], results["units"]
+    void = dict.fromkeys(record["cell"].rpartition("/")[2] for record in aside["void"])
+    whose = f"of {listed(list(void))} " if results["systems"] is not None else ""
     left_out = (
-        (aside["void_lead_ins"], "lead-in", "that ended without a healthy map"),
+        (aside["void_lead_ins"], "lead-in", f"{whose}that ended without a healthy map"),
         (units["unexposed"], "trial", "whose stress did not act"),
         (units["errors"], "trial", "that ended in an error of the machine"),
     )

@@ -61,7 +61,8 @@ def searched_text(found: dict[str, Any]) -> list[str]:
     lines = [f"{part}: {found['searched'][part]}" for part in ("world", "motion", "camera")]
     if of := found["measured"]:
         label, unit = label_and_unit(of["name"])
-        lines.append(f"{label} at {describe_field(of['field'], of['dose'])}: {measured(of['value'])}{unit}")
+        at = f"{label} at {describe_field(of['field'], of['dose'])}"
+        lines.append(f"{at}: {measured(of['value'])}{unit} (nearest of the doses searched)")
     return lines
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from dslab.experiments.eq1.arms import LEAD_IN_ERROR_SHARE
 from dslab.experiments.eq1.records import SHAM, Outcome, failure_column
 from dslab.experiments.eq1.units import RECOVERING, system_label
 from dslab.experiments.report.outcomes import completed, rows_where
@@ -80,7 +81,8 @@ def sham_warnings(table: pd.DataFrame, threads: int, folder: Path) -> list[str]:
             reason = next(iter(counted(void["void_reason"])), "no reason given")
             warnings.append(
                 f"Nothing is known of {name}: all its {len(void)} trials are void, most for: {reason}. "
-                f"{first(void)}"
+                "A trial counts where the system tracks at the onset, and its path until then fits the truth "
+                f"to {LEAD_IN_ERROR_SHARE:.0%}. {first(void)}"
             )
         shams = rows_where(done, done["kind"] == SHAM)
         failed = rows_where(shams, is_true(shams["breakage"]) | is_true(shams[failure_column("m", threads)]))

@@ -38,7 +38,9 @@ def test_a_search_prints_its_answer_and_writes_json_and_picture(search, tmp_path
     assert lines[2].startswith("world: corridor, lamp level 1, length uniform from 36 to 50 m, width 2.4 m")
     assert lines[3].startswith("motion: walk, max speed uniform from 0.8 to 1.1 m/s, ")
     assert lines[4].startswith("camera: 320 × 240 px, 15 frames/s, focal length 250 × 250 px, ")
-    assert lines[5].startswith("blur at exposure 0.") and lines[5].endswith(" s: 12.3 px")
+    assert lines[5].startswith("blur at exposure 0.") and lines[5].endswith(
+        " s: 12.3 px (nearest of the doses searched)"
+    )
     assert lines[1].startswith("40 trials in as many worlds, ") and "without stress 0 of 8 fail" in lines[1]
     assert found["status"] == "reached" and found["low"] < found["dose"] < found["high"]
     assert found["dose"] == pytest.approx(0.1, rel=0.4) and found["field"] == "exposure_s"

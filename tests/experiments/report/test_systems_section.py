@@ -113,7 +113,17 @@ def test_a_system_that_fails_without_stress_or_of_which_nothing_counts_is_named(
     assert re.search(r"See one: dslab experiment replay out/x motion_blur/1/Own:\d+$", warning)
     table.loc[own, ["outcome", "void_reason"]] = ["void", "no map"]
     (warning,) = sham_warnings(table, 2, Path("out/x"))
-    assert warning.startswith("Nothing is known of Own: all its 72 trials are void, most for: no map. See")
+    assert warning.startswith("Nothing is known of Own: all its 72 trials are void, most for: no map. A")
+    assert "fits the truth to 5%. See one:" in warning
+
+
+def test_lead_ins_that_are_left_out_bear_the_name_of_their_system(two):
+    table = two.table.copy()
+    own = table["cell"].str.endswith("/Own").to_numpy(bool)
+    table.loc[table["outcome"] == "void", "outcome"] = "completed"
+    table.loc[own, ["outcome", "void_reason"]] = ["void", "no map"]
+    said = report_content(two.spec, table, Path("out/x"), FEW)["answer"]["sentences"][-1]
+    assert "lead-ins of Own that ended without a healthy map" in said
 
 
 def test_every_system_has_a_point_at_every_dose(two):
