@@ -134,7 +134,7 @@ def _read_frames(path: Path) -> tuple[list[int], list[str], list[str]]:
 
 def _to_ns(where: str, word: str) -> int:
     """A stamp in whole nanoseconds, also one that is written as a decimal number."""
-    return round(Decimal(word)) if _AS_FLOAT.fullmatch(word) else to_nanoseconds(where, word)
+    return to_nanoseconds(where, str(round(Decimal(word))) if _AS_FLOAT.fullmatch(word) else word)
 
 
 def _of_seconds(where: str, word: str) -> int:

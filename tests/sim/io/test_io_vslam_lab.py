@@ -155,6 +155,7 @@ def test_what_is_written_is_the_published_form_and_is_read_back(tmp_path):
         ("rgb.csv", "path_rgb_0", "file", ["rgb.csv:1: path_rgb_0", "is no column of", "ts_rgb_0 (ns)"]),
         ("rgb.csv", f"{ORIGIN}.png,{ORIGIN}", f"{ORIGIN}.png", ["rgb.csv:2", "3 numbers where 4 belong"]),
         ("rgb.csv", f"\n{ORIGIN}", "\nnow", ["rgb.csv:2: timestamp", "'now'"]),
+        ("rgb.csv", f"\n{ORIGIN}", "\n1.7e39", ["rgb.csv:2: timestamp", "no stamp in nanoseconds"]),
         ("rgb.csv", f"rgb_0/{ORIGIN}.png", "rgb_0/x.png", ["x.png", "missing or empty", "rgb.csv"]),
         ("calibration.yaml", "cam_name: rgb_0", "cam_name: left", ["cameras", "0 entries", "rgb_0"]),
         ("calibration.yaml", "cam_model: pinhole", "cam_model: unknown", ["rgb_0: cam_model", "'unknown'"]),
