@@ -49,9 +49,8 @@ def export_command(
 ) -> None:
     """Write a scenario or sequence in TUM, KITTI, EuRoC or VSLAM-LAB form: frames, ground truth, segments.
 
-    Scenarios are rendered. Sequences are read in those forms and in TUM-mono and TartanAir form; `dslab run`
-    takes any of them. Colour, depth images and inertial readings are kept where the form has them.
-    orbslam3.yaml is for ORB-SLAM3's own programs.
+    Scenarios are rendered, sequences read in any form that `dslab run` takes. Colour, depth images and
+    inertial readings are kept where the form has them. orbslam3.yaml is for ORB-SLAM3's own programs.
 
     For example:
 
