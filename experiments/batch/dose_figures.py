@@ -9,9 +9,9 @@ from dslab.experiments.batch.doses import DoseSeries
 from dslab.experiments.batch.paper_figures import FIGURES_DIR
 from dslab.experiments.batch.rows import CONTENT, ERROR
 from dslab.experiments.comparison.dose_response import (
-    dose_axis,
     dose_response,
     dose_table,
+    dose_title,
     draw_dose_response,
 )
 from dslab.experiments.report.plots.draw import rendered
@@ -39,6 +39,6 @@ def write_dose_response(rows: pd.DataFrame, series: DoseSeries, folder: Path) ->
         return []
     write_file(folder / DOSE_FILE, lambda path: dose_table(points).to_csv(path, index=False))
     with settings():
-        figure = draw_dose_response(points, dose_axis(*series.about), WIDE_IN)
+        figure = draw_dose_response(points, dose_title(*series.about), WIDE_IN)
         rendered(DOSE_PLOT, "", figure).write(subfolder(folder, FIGURES_DIR))
     return points

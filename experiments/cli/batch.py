@@ -61,7 +61,7 @@ def batch_command(
     from dslab.experiments.batch.spec import read_batch
     from dslab.experiments.batch.table import PAIRS_FILE, pairs, sums
     from dslab.experiments.cli.run_tables import INTERVALS, dose_row
-    from dslab.experiments.comparison.dose_response import dose_axis, dose_table
+    from dslab.experiments.comparison.dose_response import dose_table, dose_title
     from dslab.scenarios.errors import notice
     from dslab.sim.io.folders import write_file
 
@@ -90,7 +90,7 @@ def batch_command(
         out.print(_WORDS)
         if points and spec.series:
             print_rows(
-                map(dose_row, points), f"against the dose, {INTERVALS}: {dose_axis(*spec.series.about)}"
+                map(dose_row, points), f"against the dose, {INTERVALS}: {dose_title(*spec.series.about)}"
             )
         if len(beside):
             print_rows(_beside(beside), f"over {rows.system.iloc[0]}, the same frames")

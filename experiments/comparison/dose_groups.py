@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from dslab.experiments.comparison.dose_response import dose_axis, dose_response
+from dslab.experiments.comparison.dose_response import dose_response, dose_title
 from dslab.experiments.comparison.identity import by_system
 from dslab.experiments.comparison.left_runs import LeftRun
 
@@ -34,7 +34,7 @@ def dose_groups(groups: Mapping[str, list[LeftRun]]) -> list[dict[str, Any]]:
             found = series.setdefault(varied[0][1:], [])
             for own, of in zip(inputs, doses, strict=True):
                 found += [(str(place), of[varied[0]], run) for run in own]
-    return [{"axis": dose_axis(*about), "points": _points(found)} for about, found in series.items()]
+    return [{"axis": dose_title(*about), "points": _points(found)} for about, found in series.items()]
 
 
 def _doses(run: LeftRun) -> dict[_Field, float]:

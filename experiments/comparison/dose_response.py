@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 
 from dslab.experiments.pictures.labels import label
 from dslab.experiments.pictures.palette import system_color
+from dslab.experiments.report.conditions import axis_label
 from dslab.experiments.report.plots.style import (
     NARROW_IN,
     bars,
@@ -23,7 +24,7 @@ from dslab.experiments.report.plots.style import (
 )
 from dslab.experiments.statistics.spreads import Bounds, Spread, spread_of
 from dslab.experiments.statistics.world_intervals import FEW
-from dslab.scenarios.describe import describe_kind, label_and_unit
+from dslab.scenarios.describe import describe_kind
 
 DOSE_FIGURES: dict[str, tuple[str, Bounds]] = {
     "broke": ("runs that break", "event"),
@@ -75,10 +76,9 @@ def dose_table(points: list[dict[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def dose_axis(kind: str, field: str) -> str:
-    """Title of the axis of a dose: ``motion blur, exposure in s``."""
-    name, unit = label_and_unit(field)
-    return f"{describe_kind(kind)}, {name}" + (f" in {unit.strip()}" if unit else "")
+def dose_title(kind: str, field: str) -> str:
+    """Title of the axis of a dose: ``motion blur, exposure (s)``."""
+    return f"{describe_kind(kind)}, {axis_label(field)}"
 
 
 def draw_dose_response(points: list[dict[str, Any]], axis: str, width_in: float) -> Figure:

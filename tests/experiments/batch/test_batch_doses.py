@@ -113,7 +113,7 @@ def test_doses_are_added_and_stand_in_table_and_plot(folder, tmp_path, dslab):
     ).stat().st_size > 10_000 and "drive, exposure 0.02 s" in said
     code, said, _ = dslab("compare", str(out), "--out", str(tmp_path / "page"), "--json")
     (series,) = json.loads(said)["dose_series"]
-    assert series["axis"] == "motion blur, exposure in s"
+    assert series["axis"] == "motion blur, exposure (s)"
     assert [point["completeness"]["mean"] for point in series["points"]] == table.completeness.tolist()
     page = (tmp_path / "page" / "index.html").read_text()
     assert page.count("<figure>") == 1 + 2 * 4 and page.count('id="input') == page.count('href="#input') == 2
