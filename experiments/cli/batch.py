@@ -56,12 +56,11 @@ def batch_command(
     from dslab.experiments.batch.breakages import BREAKAGES_FILE, breakages, rescues
     from dslab.experiments.batch.dose_figures import DOSE_FILE, DOSE_PLOT, write_dose_response
     from dslab.experiments.batch.paper_figures import FIGURES_DIR, write_figures
-    from dslab.experiments.batch.paper_tables import TABLES_DIR, short_name, write_tables
+    from dslab.experiments.batch.paper_tables import TABLES_DIR, write_tables
     from dslab.experiments.batch.run import CSV_FILE, run_batch
     from dslab.experiments.batch.spec import read_batch
     from dslab.experiments.batch.table import PAIRS_FILE, pairs, sums
-    from dslab.experiments.cli.run_tables import INTERVALS, dose_row
-    from dslab.experiments.comparison.dose_response import dose_table, dose_title
+    from dslab.experiments.comparison.dose_response import dose_table
     from dslab.scenarios.errors import notice
     from dslab.sim.io.folders import write_file
 
@@ -72,32 +71,18 @@ def batch_command(
     rescued = rescues(broken)
     for name, table in ((PAIRS_FILE, beside), (BREAKAGES_FILE, broken)):
         write_file(out_dir / name, lambda path, table=table: table.to_csv(path, index=False))
-    points = write_dose_response(rows, spec.series, out_dir) if spec.series else []
+    points, drawn = write_dose_response(rows, spec.series, out_dir) if spec.series else [], []
     if not points:  # the paper has no doses
         write_tables(rows, out_dir)
-    if figures and points:
+        drawn = write_figures(rows, out_dir) if figures else []
+    elif figures:
         notice("--figures", "the paper has no doses: its figures are of batches without a list of them")
-    drawn = write_figures(rows, out_dir) if figures and not points else []
     if as_json:
-        tables = {"rows": found, "pairs": beside, "rescues": rescued} | (
-            {"dose_response": dose_table(points)} if points else {}
-        )
+        tables = {"rows": found, "pairs": beside, "rescues": rescued}
+        tables |= {"dose_response": dose_table(points)} if points else {}
         print_json_line({name: _records(table) for name, table in tables.items()})
     else:
-        out.print("medians over the runs, and sums of breakages and declarations")
-        for _, own in found.groupby(["source", "dose"], sort=False, dropna=False):
-            print_rows(map(_sum_row, _records(own)), short_name(own.source.iloc[0]) + _at(own, spec.series))
-        out.print(_WORDS)
-        if points and spec.series:
-            print_rows(
-                map(dose_row, points), f"against the dose, {INTERVALS}: {dose_title(*spec.series.about)}"
-            )
-        if len(beside):
-            print_rows(_beside(beside), f"over {rows.system.iloc[0]}, the same frames")
-        for _, own in rescued.groupby(["source", "dose"], dropna=False) if len(rescued) else ():
-            where = Path(own.source.iloc[0]).name + _at(own, spec.series)
-            title = f"{where}: healthy maps that broke, and the threads that found back"
-            print_rows(map(_rescue_row, _records(own)), title)
+        _print_tables(spec.series, found, points, beside, rescued)
         say(f"every run  {out_dir / CSV_FILE}, {PAIRS_FILE}, {BREAKAGES_FILE}")
         places = [out_dir / TABLES_DIR, *([out_dir / FIGURES_DIR] if drawn else [])]
         if points:
@@ -105,6 +90,32 @@ def batch_command(
         else:
             say(f"as in the paper  {', '.join(map(str, places))}")
     _check_made(rows)
+
+
+def _print_tables(
+    series: "DoseSeries | None",
+    found: "pd.DataFrame",
+    points: list[dict[str, Any]],
+    beside: "pd.DataFrame",
+    rescued: "pd.DataFrame",
+) -> None:
+    """Print the sums of a batch, its points against the dose, its pairs and its rescues."""
+    from dslab.experiments.batch.paper_tables import short_name
+    from dslab.experiments.cli.run_tables import INTERVALS, dose_row
+    from dslab.experiments.comparison.dose_response import dose_title
+
+    out.print("medians over the runs, and sums of breakages and declarations")
+    for _, own in found.groupby(["source", "dose"], sort=False, dropna=False):
+        print_rows(map(_sum_row, _records(own)), short_name(own.source.iloc[0]) + _at(own, series))
+    out.print(_WORDS)
+    if points and series:
+        print_rows(map(dose_row, points), f"against the dose, {INTERVALS}: {dose_title(*series.about)}")
+    if len(beside):
+        print_rows(_beside(beside), f"over {found.system.iloc[0]}, the same frames")
+    for _, own in rescued.groupby(["source", "dose"], dropna=False) if len(rescued) else ():
+        where = Path(own.source.iloc[0]).name + _at(own, series)
+        title = f"{where}: healthy maps that broke, and the threads that found back"
+        print_rows(map(_rescue_row, _records(own)), title)
 
 
 def _at(own: "pd.DataFrame", series: "DoseSeries | None") -> str:
