@@ -46,6 +46,7 @@ def _serve(recording: Path) -> None:
 
     with served_viewer(recording) as (address, server):
         say(address)
+        err.print("open this address in a browser; Ctrl+C ends it")
         if server.wait():
             raise MachineError("rerun viewer", "does not start", f"try: rerun {recording} --serve-web")
 

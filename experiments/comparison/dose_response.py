@@ -16,6 +16,7 @@ from dslab.experiments.report.conditions import axis_label
 from dslab.experiments.report.plots.style import (
     NARROW_IN,
     bars,
+    columns_that_fit,
     legend_above,
     log_ticks,
     panels,
@@ -109,7 +110,7 @@ def draw_dose_response(points: list[dict[str, Any]], axis: str, width_in: float)
         Line2D([], [], color=system_color(s, i), marker=_MARKS[i % len(_MARKS)], label=label(s))
         for i, s in enumerate(systems)
     ]
-    legend_above(figure, handles, 4, width_in)
+    legend_above(figure, handles, columns_that_fit(handles, width_in), width_in)
     return figure
 
 

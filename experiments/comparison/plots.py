@@ -10,7 +10,14 @@ from matplotlib.lines import Line2D
 from dslab.experiments.evaluation.robustness import LEAST, MOST
 from dslab.experiments.pictures.labels import label
 from dslab.experiments.pictures.palette import TRUTH, system_color
-from dslab.experiments.report.plots.style import NARROW_IN, legend_above, log_ticks, new_figure, percent_axis
+from dslab.experiments.report.plots.style import (
+    NARROW_IN,
+    columns_that_fit,
+    legend_above,
+    log_ticks,
+    new_figure,
+    percent_axis,
+)
 
 _LINES = ("-", "--", "-.", ":")
 
@@ -27,9 +34,8 @@ def draw_paths(sequence: dict[str, Any], width_in: float) -> Figure:
         axes.plot(*path.T, line, color=colour, linewidth=1.6, zorder=2 + place)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel=f"{'xyz'[ground[0]]}, m", ylabel=f"{'xyz'[ground[1]]}, m")
-    legend_above(
-        figure, [Line2D([], [], color=TRUTH, linewidth=4, label="truth"), *_legend(sequence)], 4, width_in
-    )
+    handles = [Line2D([], [], color=TRUTH, linewidth=4, label="truth"), *_legend(sequence)]
+    legend_above(figure, handles, columns_that_fit(handles, width_in), width_in)
     return figure
 
 
@@ -41,7 +47,8 @@ def draw_errors(sequence: dict[str, Any], width_in: float) -> Figure:
         axes.plot(system["time_s"], errors, line, color=colour, linewidth=1.4)
     axes.set_yscale("log")
     axes.set(xlabel="time, s", ylabel="position error, m")
-    legend_above(figure, _legend(sequence), 4, width_in)
+    handles = _legend(sequence)
+    legend_above(figure, handles, columns_that_fit(handles, width_in), width_in)
     return figure
 
 
@@ -56,7 +63,8 @@ def draw_within(sequence: dict[str, Any], width_in: float, thresholds: np.ndarra
     percent_axis(axes.xaxis)
     percent_axis(axes.yaxis)
     axes.set(ylim=(0, 1.02), xlabel="position error over the length of the path", ylabel="of the path within")
-    legend_above(figure, _legend(sequence), 4, width_in)
+    handles = _legend(sequence)
+    legend_above(figure, handles, columns_that_fit(handles, width_in), width_in)
     return figure
 
 

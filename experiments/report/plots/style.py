@@ -2,6 +2,7 @@
 
 import textwrap
 from collections.abc import Sequence
+from math import ceil
 from typing import Any
 
 from matplotlib import rc_context
@@ -18,6 +19,8 @@ GREY, PALE = "#6b7177", "#b4bcc4"
 THREAD_COLOURS = (ORANGE, GREEN, PURPLE, SKY)
 WIDE_IN, NARROW_IN = 7.6, 3.6
 """Widths of the two drawings of a plot: for a page, and for a telephone's."""
+_ENTRY_IN, _LETTER_IN = 0.65, 0.085
+"""In a legend at 9 points a mark with its spaces, and a letter."""
 
 _SETTINGS = {
     "font.family": "DejaVu Sans",
@@ -120,6 +123,13 @@ def legend_above(figure: Figure, handles: Sequence[Any], columns: int, width_in:
     """Add a legend over the panels, never within them."""
     columns = columns if width_in > NARROW_IN else min(columns, 2)
     figure.legend(handles=handles, loc="outside upper left", ncols=columns, fontsize=9)
+
+
+def columns_that_fit(handles: Sequence[Any], width_in: float) -> int:
+    """Columns of a legend of :func:`legend_above` that fill the width evenly, of as few rows as it takes."""
+    needed_in = sum(_ENTRY_IN + _LETTER_IN * len(str(handle.get_label())) for handle in handles)
+    rows = ceil(needed_in / width_in)
+    return ceil(len(handles) / max(1, rows))
 
 
 def legend_mark(colour: str, name: str, shape: str = "o") -> Line2D:

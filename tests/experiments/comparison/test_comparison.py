@@ -6,12 +6,14 @@ import shutil
 
 import numpy as np
 import pytest
+from matplotlib.lines import Line2D
 from slam_fakes import FakeSystem, make_sequence
 
 from dslab.experiments.comparison.page import FIGURES_FILE, PAGE_FILE, compare_runs
 from dslab.experiments.evaluation.audit_text import audit_text
 from dslab.experiments.evaluation.metrics import PosePairs
 from dslab.experiments.evaluation.robustness import robustness, share_within, step_errors
+from dslab.experiments.report.plots.style import NARROW_IN, WIDE_IN, columns_that_fit
 from dslab.experiments.result_folder import run_systems
 from dslab.scenarios.errors import InputError
 
@@ -167,3 +169,10 @@ def test_a_summary_that_was_damaged_is_one_line(runs, tmp_path, dslab, field, va
     assert (
         code == 2 and err.count("\n") == 1 and f"{path}: {field}" in err and not (tmp_path / "page").exists()
     )
+
+
+@pytest.mark.parametrize(("names", "columns"), [("abcde", 5), (["a long name of a system"] * 5, 3)])
+def test_a_legend_fills_its_rows_evenly(names, columns):
+    handles = [Line2D([], [], label=name) for name in names]
+    assert columns_that_fit(handles, WIDE_IN) == columns
+    assert columns_that_fit(handles[:1], NARROW_IN) == 1
