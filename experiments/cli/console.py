@@ -169,12 +169,14 @@ def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
         log = None if err.is_terminal else stack.enter_context(_log_now_and_then())
 
         def show(step: str, done: int, total: int, note: str = "") -> None:
-            if log is not None:
-                log["state"] = f"{step}: {done} of {total}"
             bars.note = note
             if step not in tasks:
                 tasks[step] = bars.add_task(step)
             bars.update(tasks[step], completed=done, total=total)
+            if log is not None:
+                left_s = next(task.time_remaining for task in bars.tasks if task.id == tasks[step])
+                left = f", about {math.ceil(left_s / 60)} min left" if left_s else ""
+                log.update(state=f"{step}: {done} of {total}", left=left)
 
         if kernels:
             from dslab.experiments.kernels import compile_kernels
@@ -186,11 +188,11 @@ def progress_bars(kernels: bool = True) -> Iterator[Callable[..., None]]:
 @contextmanager
 def _log_now_and_then() -> Iterator[dict[str, str]]:
     """Write the state, of which the caller keeps the latest, and the time since the start to stderr."""
-    log, ended, begun_s = {"state": "under way"}, threading.Event(), time.monotonic()
+    log, ended, begun_s = {"state": "under way", "left": ""}, threading.Event(), time.monotonic()
 
     def write() -> None:
         while not ended.wait(LOG_EVERY_S):
-            print_error_line(f"{log['state']}, {(time.monotonic() - begun_s) / 60:.0f} min")
+            print_error_line(f"{log['state']}, {(time.monotonic() - begun_s) / 60:.0f} min{log['left']}")
 
     thread = threading.Thread(target=write, daemon=True)
     thread.start()

@@ -194,11 +194,13 @@ def test_a_degraded_sequence_goes_by_its_source_and_says_the_stress():
 
 def test_without_a_terminal_a_line_now_and_then_tells_that_it_goes_on(monkeypatch, capsys):
     monkeypatch.setattr(console.err, "_width", None)
-    for every_s, said in ((60.0, []), (0.02, ["under way, 0 min", "rendering: 2 of 3, 0 min"])):
+    told = ["under way, 0 min", "rendering: 2 of 3, 0 min, about 1 min left"]
+    for every_s, said in ((60.0, []), (0.03, told)):
         monkeypatch.setattr(console, "LOG_EVERY_S", every_s)
         with console.progress_bars(kernels=False) as show:
             time.sleep(0.1)
             show("rendering", 1, 3)
+            time.sleep(0.002)
             show("rendering", 2, 3)
             time.sleep(0.1)  # a step that takes long
         assert list(dict.fromkeys(capsys.readouterr().err.splitlines())) == said
