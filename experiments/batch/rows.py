@@ -1,5 +1,6 @@
 """The row of a run: its columns, and how they are made from a record."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -106,12 +107,20 @@ def figures_of(record: RunRecord, summary: dict) -> Row:
     }
 
 
-def typed(rows: list[Row]) -> pd.DataFrame:
-    """Rows as a table, sorted, its types independent of which figures are missing."""
+def typed(rows: list[Row], systems: Sequence[str]) -> pd.DataFrame:
+    """Rows as a table, sorted, its types independent of which figures are missing.
+
+    Args:
+        rows: of runs.
+        systems: their names in the order of the batch, which is kept: others stand beside the first.
+    """
     stages = sorted({str(name) for row in rows for name in row if str(name).startswith(STAGE)})
     types = {name: kind for name, (kind, _) in COLUMNS.items()} | dict.fromkeys(stages, "Float64")
     table = pd.DataFrame(rows, columns=list(types))
-    table = table.astype(types).sort_values(["source", DOSE, "system", "run"], kind="stable")
+    by, rank = ["source", DOSE, "system", "run"], {name: place for place, name in enumerate(systems)}
+    table = table.astype(types).sort_values(
+        by, kind="stable", key=lambda of: of.map(rank) if of.name == "system" else of
+    )
     return table.reset_index(drop=True)
 
 

@@ -143,7 +143,8 @@ def run_batch(
                     ledger.add(plain(_row(ended)))
                     made += 1
                     show("runs", made, len(jobs))
-        found = typed([row | jobs[_key(row)].named for row in ledger.rows() if _key(row) in jobs])
+        rows = [row | jobs[_key(row)].named for row in ledger.rows() if _key(row) in jobs]
+        found = typed(rows, [system.name for system in systems.values()])
     write_file(folder / ROWS_FILE, lambda path: found.to_parquet(path, index=False))
     write_file(folder / CSV_FILE, lambda path: found.to_csv(path, index=False))
     return found

@@ -58,9 +58,9 @@ def test_a_row_has_the_figures_of_its_run(folder, tmp_path, in_this_process):
     description = write_program(
         tmp_path / "systems", make_sequence(FRAMES, segment=None), keyframes="trajectory.txt"
     )
-    spec = spec_of(systems=(EXAMPLE, "copy"), runs=1)
+    spec = spec_of(systems=("copy", EXAMPLE), runs=1)
     rows = run_batch(spec, [str(folder)], tmp_path / "b", folders=[description.parent])
-    assert set(COLUMNS) <= set(rows.columns)
+    assert set(COLUMNS) <= set(rows.columns) and rows.system.tolist() == ["copy", "ConstantVelocity"]
     own, copy = (rows[rows.system == name].iloc[0] for name in ("ConstantVelocity", "copy"))
     assert copy.ate_m == pytest.approx(0, abs=1e-6) and copy.keyframe_ate_m == pytest.approx(0, abs=1e-6)
     assert copy.rpe_m < 1e-5 and own.rpe_m > 0.1 and own.completeness == copy.completeness == 1.0
@@ -78,7 +78,8 @@ def test_what_a_run_declares_is_counted_and_so_is_what_is_false_of_it():
     def row(seen, **script):
         build = fake_factory(sequence, breaks_at=160, **script)
         record = execute(seen, "dual", 0, build=build)
-        return typed([{"source": "x", "system": "dual", "run": 0} | figures_of(record, summarise(record))])
+        about = {"source": "x", "system": "dual", "run": 0}
+        return typed([about | figures_of(record, summarise(record))], ["dual"])
 
     (right,), (wrong,) = (row(sequence, new_map_scale=scale).to_dict("records") for scale in (1.0, 2.0))
     assert (right["declared_fusions"], right["false_fusions"], wrong["false_fusions"]) == (1, 0, 1)

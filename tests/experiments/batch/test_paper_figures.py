@@ -38,7 +38,7 @@ def batch(tmp_path_factory):
         write_run(folder / place, record, summary, picture=False)
         about = {"source": "circle", "sequence": "circle", "system": system, "run": run, "folder": place}
         rows.append({**about, "first_frame": 0, **figures_of(record, summary)})
-    return typed(rows), folder
+    return typed(rows, ["base", "dual"]), folder
 
 
 def marked(figure) -> bool:
