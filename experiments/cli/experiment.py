@@ -33,6 +33,7 @@ from dslab.experiments.cli.units import (
     estimates_text,
     unit_progress,
 )
+from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
     from dslab.experiments.eq1.spec import ExperimentSpec
@@ -261,6 +262,8 @@ def replay_command(
     from dslab.experiments.campaign.workers import UnitWorkers
     from dslab.experiments.jobs.pool import PoolSettings
 
+    if unit is not None and outcome is not None:
+        raise InputError("--outcome", f"the unit {unit} is named already", "give one of them")
     unit = unit or unit_to_replay(folder, outcome)
     if unit is None:
         return

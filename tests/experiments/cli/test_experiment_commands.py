@@ -146,6 +146,8 @@ def test_without_a_unit_the_first_failure_of_each_condition_is_listed_with_its_c
     assert code == 0 and json.loads(out)["record"]["d1"]
     code, _, err = dslab("experiment", "replay", smoke, "--outcome", "rain")
     assert code == 2 and err.count("\n") == 1 and "use a part of: " in err and "breakage" in err
+    code, _, err = dslab("experiment", "replay", smoke, "a:0", "--outcome", "rain")
+    assert code == 2 and "a:0 is named already" in err
 
 
 def test_what_there_is_to_run_and_what_was_run_is_listed_and_shown(dslab, smoke, tmp_path):
