@@ -1,7 +1,6 @@
 """``dslab compare``."""
 
 from collections.abc import Iterator
-from collections.abc import Sequence as Many
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -61,20 +60,16 @@ def compare_command(
 
 def _rows(sequence: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for system in sequence["systems"]:
-        spreads = [system["figures"][name] for name in _FIGURES]
-        yield _row(system["name"], system["runs"], [_number(of["mean"]) for of in spreads])
-        if any(of["low"] is not None for of in spreads):
-            yield _row("  95 %, from", "", [_number(of["low"]) for of in spreads])
-            yield _row("  to", "", [_number(of["high"]) for of in spreads])
+        yield _row(system["name"], system["runs"], system["figures"], "mean")
+        if any(system["figures"][name]["low"] is not None for name in _FIGURES):
+            yield _row("  95 %, from", "", system["figures"], "low")
+            yield _row("  to", "", system["figures"], "high")
 
 
-def _row(name: str, runs: int | str, cells: Many[str | None]) -> dict[str, Any]:
-    return {
-        "": name,
-        "runs": runs,
-        **dict(zip(_FIGURES.values(), cells, strict=True)),
-    }
+def _row(name: str, runs: int | str, figures: dict[str, Any], part: str) -> dict[str, Any]:
+    from dslab.experiments.comparison.figures import WRITTEN
+    from dslab.experiments.comparison.page import figure_text
 
-
-def _number(value: float | None) -> str | None:
-    return None if value is None else f"{value:.3g}"
+    found = {title: (figures[of][part], WRITTEN[of]) for of, title in _FIGURES.items()}
+    cells = {title: None if value is None else figure_text(value, of) for title, (value, of) in found.items()}
+    return {"": name, "runs": runs, **cells}

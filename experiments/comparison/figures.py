@@ -29,6 +29,8 @@ BOUNDS: dict[str, Bounds] = {
     name: "share" if name in ("robustness", "completeness", "path_share") else "amount" for name in FIGURES
 }
 """What each figure is of."""
+WRITTEN = BOUNDS | {"robustness": "amount"}
+"""As what each is written: shares in percent, but for robustness, which is no part of something."""
 
 
 def comparison_content(runs: list[LeftRun]) -> dict[str, Any]:

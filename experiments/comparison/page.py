@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from dslab.experiments.comparison.dose_response import DOSE_FIGURES, draw_dose_response
-from dslab.experiments.comparison.figures import BOUNDS, FIGURES, comparison_content
+from dslab.experiments.comparison.figures import FIGURES, WRITTEN, comparison_content
 from dslab.experiments.comparison.left_runs import find_runs
 from dslab.experiments.comparison.plots import draw_errors, draw_paths, draw_stages, draw_within
 from dslab.experiments.pages import render_page
@@ -45,20 +45,21 @@ def comparison_html(content: dict[str, Any]) -> str:
     with settings():
         series = [_dose_plot(one) for one in content["dose_series"]]
         plots = [_plots(sequence, content["thresholds"]) for sequence in content["sequences"]]
-    tables = {"figures": FIGURES, "bounds": BOUNDS, "doses": DOSE_FIGURES}
+    tables = {"figures": FIGURES, "written": WRITTEN, "doses": DOSE_FIGURES}
     filters = {"spread": spread_text}
     return render_page(_TEMPLATES, filters, content=content, plots=plots, series=series, **tables)
 
 
 def spread_text(spread: dict[str, Any], bounds: Bounds = "amount") -> str:
     """A mean and the ends of its interval, or that there is no spread; a dash without a mean."""
-    mean, low, high = (_written(spread[end], bounds) for end in ("mean", "low", "high"))
+    mean, low, high = (figure_text(spread[end], bounds) for end in ("mean", "low", "high"))
     if spread["low"] is not None:
         return f"{mean} [{low}, {high}]"
     return f"{mean} (all alike)" if spread["reason"] == ALIKE else mean
 
 
-def _written(value: float | None, bounds: Bounds) -> str:
+def figure_text(value: float | None, bounds: Bounds) -> str:
+    """A figure to three digits, a share or an event in percent; a dash for None."""
     if value is None:
         return "–"
     return f"{value:.3g}" if bounds == "amount" else f"{100 * value:.3g} %"
