@@ -62,7 +62,7 @@ def _rows(sequence: dict[str, Any]) -> Iterator[dict[str, Any]]:
     for system in sequence["systems"]:
         yield _row(system["name"], system["runs"], system["figures"], "mean")
         if any(system["figures"][name]["low"] is not None for name in _FIGURES):
-            yield _row("  95 %, from", "", system["figures"], "low")
+            yield _row("  from", "", system["figures"], "low")
             yield _row("  to", "", system["figures"], "high")
 
 
