@@ -19,6 +19,20 @@ _OPENCV = re.compile(r"^%YAML:.*$|!!opencv-matrix", re.MULTILINE)
 _MOST_PARTS, _MOST_DEPTH = 20_000, 40
 
 
+class _Loader(yaml.SafeLoader):
+    """Makes what JSON can hold: a date is text, bytes and sets are refused."""
+
+    yaml_implicit_resolvers = {  # noqa: RUF012
+        first: [(tag, fits) for tag, fits in those if not tag.endswith(":timestamp")]
+        for first, those in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+    yaml_constructors = {  # noqa: RUF012
+        tag: make
+        for tag, make in yaml.SafeLoader.yaml_constructors.items()
+        if str(tag).rpartition(":")[2] not in ("timestamp", "binary", "set", "omap", "pairs")
+    }
+
+
 @dataclass(frozen=True, eq=False)
 class YamlFile:
     """A file that holds one mapping.
@@ -80,8 +94,8 @@ def read_yaml(
     plain = _OPENCV.sub("", text)
     try:
         _check_bounds(path, plain)
-        root = yaml.compose(plain, Loader=yaml.SafeLoader)
-        data = yaml.safe_load(plain)
+        root = yaml.compose(plain, Loader=_Loader)
+        data = yaml.load(plain, Loader=_Loader)
     except yaml.YAMLError as error:
         raise _not_yaml(path, error) from None
     except ValueError as error:
@@ -111,7 +125,7 @@ def _check_bounds(path: Path, text: str) -> None:
     opened: list[tuple[str | None, int, int]] = []
     anchored: dict[str, tuple[int, int]] = {}
     parts = 0
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
+    for event in yaml.parse(text, Loader=_Loader):
         where = f"{path}:{event.start_mark.line + 1}"
         if isinstance(event, yaml.AliasEvent):
             if any(anchor == event.anchor for anchor, _, _ in opened):

@@ -42,9 +42,11 @@ def ladder(steps: int) -> str:
         ("duration_s: .inf", ":3: duration_s: is not a finite number"),
         ("camera: {fps: .nan}", ":3: camera.fps: is not a finite number"),
         ("seed: 1\nseed: 1", ":4: seed: key appears twice"),
+        ("description: !!binary aGk=", "tag:yaml.org,2002:binary"),
+        ("description: !!set {a}", "tag:yaml.org,2002:set"),
         ("description: " + "x" * 3_000_000, "more than the 2 MB"),
     ],
-    ids=range(15),
+    ids=range(17),
 )
 def test_what_would_hang_or_overflow_is_one_line_at_once(tmp_path, text, problem):
     (tmp_path / "mine.yaml").write_text(PLAIN + text)
@@ -60,6 +62,11 @@ def test_aliases_within_bounds_are_what_they_stand_for(tmp_path):
     path.write_text(bomb(3) + "base: &b {k: 1, l: 2}\nover: {<<: *b, l: 3}\n" + ladder(30).replace("a", "b"))
     data = read_yaml(path).data
     assert data["a2"][8][8] == ["x"] * 9 and data["over"] == {"k": 1, "l": 3}
+
+
+def test_a_date_is_text(tmp_path):
+    (tmp_path / "mine.yaml").write_text("begun: 2001-01-01\nof: {2001-01-02: 1}\n")
+    assert read_yaml(tmp_path / "mine.yaml").data == {"begun": "2001-01-01", "of": {"2001-01-02": 1}}
 
 
 def test_opencv_s_first_line_is_skipped(tmp_path):
