@@ -106,7 +106,7 @@ def _print_tables(
 
     out.print("medians over the runs, and sums of breakages and declarations")
     for _, own in found.groupby(["source", "dose"], sort=False, dropna=False):
-        print_rows(map(_sum_row, _records(own)), short_name(own.source.iloc[0]) + _at(own, series))
+        print_rows(_sum_rows(own, found), short_name(own.source.iloc[0]) + _at(own, series))
     out.print(_WORDS)
     if points and series:
         print_rows(map(dose_row, points), f"against the dose, {INTERVALS}: {dose_title(*series.about)}")
@@ -140,13 +140,23 @@ def _records(table: "pd.DataFrame") -> list[dict]:
     return table.astype(object).where(table.notna(), None).to_dict("records")
 
 
+def _sum_rows(own: "pd.DataFrame", every: "pd.DataFrame") -> list[dict[str, Any]]:
+    """The rows of one table; a column of faults only where a row of any table has some."""
+    rows, shown = (list(map(_sum_row, _records(table))) for table in (own, every))
+    unused = {name for name in _FAULTS if all(row[name] is None for row in shown)}
+    return [{name: value for name, value in row.items() if name not in unused} for row in rows]
+
+
+_FAULTS = ("ended\nbadly", "false /\ndecl.")
+
+
 def _sum_row(row: dict[str, Any]) -> dict[str, Any]:
     return {
         "": row["system"],
         "intact\nmap": f"{row['intact']} of {row['runs']}",
-        "ended\nbadly": row["ended_badly"] or None,
+        _FAULTS[0]: row["ended_badly"] or None,
         "break-\nages": number(row["breakages"], 0),
-        "false /\ndecl.": f"{row['false']} / {row['declared']}" if row["declared"] else None,
+        _FAULTS[1]: f"{row['false']} / {row['declared']}" if row["declared"] else None,
         "ATE m,\nkeyfr.": number(row["keyframe_ate_m"]),
         "ATE m,\nframes": number(row["ate_m"]),
         "RPE m\nper s": number(row["rpe_m"]),

@@ -297,6 +297,8 @@ def test_the_command_prints_a_row_per_system(dslab, folder, tmp_path, monkeypatc
     code, out, _ = dslab("batch", "batch.yaml", "--out", "b")
     assert code == 0 and [w for w in out.split() if w in ("blind", "seen", "notes")] == ["blind", "seen"]
     assert out.count("1 of 1") == 2 and max(map(len, out.splitlines()[:12])) <= 80
+    # Nothing ended badly, and nothing was declared: the name has their room.
+    assert out.count("ConstantVelocity") == 2 and "badly" not in out
     code, out, _ = dslab("batch", "batch.yaml", "--out", "b", "--json")
     figures = json.loads(out)["rows"]
     assert code == 0 and figures[0]["ate_m"] is None and figures[1]["ate_m"] > 0.1
