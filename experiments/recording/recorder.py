@@ -81,6 +81,8 @@ class Recording:
         Args:
             records: the runs, one per observed system.
         """
+        for frame, stamp_s in enumerate(records[0].sequence.stamps_s):
+            self.place(frame, float(stamp_s))
         view = viewpoint([lay_out(record) for record in records])
         draw_truth(self._stream, records[0].sequence, view, self._shrink)
         in_view = []
@@ -103,6 +105,10 @@ class Recording:
         for under, lane in lanes:
             draw_lane(self._stream, under, lane)
         return len(lanes)
+
+    def place(self, frame: int, stamp_s: float) -> None:
+        """Give a frame that was fed its time."""
+        self._stream.place(frame, stamp_s)
 
     def show_image(self, frame: int, image: np.ndarray) -> None:
         """Write the image of a frame, once for all systems."""
@@ -159,6 +165,7 @@ class SystemRecorder:
 
     def frame(self, image: np.ndarray, result: TrackingResult, system: SlamSystem) -> None:
         """Record one frame: image, features and, at intervals, the map."""
+        self._recording.place(result.frame, result.stamp_s)
         changed = result.state != self._state
         self._state = result.state
         if changed or result.frame % self._recording.stride == 0:

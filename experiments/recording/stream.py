@@ -32,7 +32,7 @@ class Stream:
 
     def __init__(self, path: Path, title: str, stamps_s: np.ndarray) -> None:
         self._path, self._is_stuck = path, False
-        self._times_s = stamps_s - stamps_s[0]
+        self._first_s, self._times_s = stamps_s[0], stamps_s - stamps_s[0]
         self._rec = rr.RecordingStream(APPLICATION, recording_id=title)
         self._rec.set_log_time_enabled(False)
         self._rec.set_log_tick_enabled(False)
@@ -77,6 +77,10 @@ class Stream:
         """Write data for all times."""
         for archetype in archetypes:
             self._rec.log(entity, archetype, static=True)
+
+    def place(self, frame: int, stamp_s: float) -> None:
+        """Give a frame its time: a run numbers the frames that it was fed, which may lack unreadable ones."""
+        self._times_s[frame] = stamp_s - self._first_s
 
     def log(self, entity: str, frame: int, archetype: Any) -> None:
         """Write data from a frame on."""

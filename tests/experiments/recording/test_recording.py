@@ -17,6 +17,7 @@ from dslab.experiments.evaluation.scene import lay_out
 from dslab.experiments.recording import Recording, palette, stream
 from dslab.experiments.recording.describe import describe_event
 from dslab.experiments.runs.execution import execute
+from dslab.scenarios.errors import InputError
 from dslab.slam.core.events import Event, RelatingEvent, TrackingState
 from dslab.slam.core.results import PhotometricView
 
@@ -313,3 +314,25 @@ def test_every_kind_of_event_is_a_short_line_without_names_of_fields():
             values = {name: judged if value is True else value for name, value in fields.items()}
             text, _ = describe_event(kind(**values))
             assert " " in text and len(text) < 80 and not {"_", "{", "None"} & set(text.split() + list(text))
+
+
+@pytest.mark.filterwarnings("ignore:.*left out")
+def test_frames_after_an_unreadable_one_have_their_own_times(tmp_path):
+    sequence = make_sequence()
+
+    class Damaged:
+        def __len__(self):
+            return len(sequence)
+
+        def __getitem__(self, index):
+            if index == 50:
+                raise InputError("rgb/50.png", "cannot be decoded", "replace it")
+            return sequence.frames[index]
+
+    content = Content(record(tmp_path, replace(sequence, frames=Damaged()), fake_factory(sequence)))
+    times_s = (sequence.stamps_s - sequence.stamps_s[0])[np.arange(len(sequence)) != 50]
+    for entity in ("/camera/dual/features", "/plots/inliers/dual"):
+        frames, of_frames = (content.columns[entity][line] for line in ("frame", "time"))
+        assert max(frames) > 60
+        for frame, time in zip(frames, of_frames, strict=True):
+            assert time.total_seconds() == pytest.approx(times_s[frame], abs=1e-5)
