@@ -50,6 +50,8 @@ def load_transforms(folder: Path, camera_file: Path | None = None) -> Sequence:
         fields = Fields(f"{path}: frames[{index}]", frame if isinstance(frame, Mapping) else {})
         name = fields.word("file_path")
         image = folder / (name if Path(name).suffix else f"{name}.png")
+        if image in poses:
+            raise InputError(f"{fields.where}: file_path", f"{name} is listed twice", "keep one of its poses")
         rows = np.reshape(fields.numbers("transform_matrix", lengths=(12, 16)), (-1, 4))
         poses[image] = rigid(f"{fields.where}: transform_matrix", rows) @ _OPENGL
 

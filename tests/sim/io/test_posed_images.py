@@ -152,6 +152,9 @@ def test_transforms(tmp_path):
     np.testing.assert_allclose(read.camera.focal_px, (80, 80))
     np.testing.assert_allclose(read.T_world_cam[[10, 2, 1, 0]], T, atol=1e-9)
     assert np.isnan(read.T_world_cam[3]).all() and read.image_names[3] == "images/frame_3.jpg"
+    (tmp_path / "transforms.json").write_text(json.dumps(data | {"frames": [*frames, frames[0]]}))
+    with pytest.raises(InputError, match=r"frames\[4\]: file_path: ./images/frame_10.jpg is listed twice"):
+        load_sequence(tmp_path)
     frames[1]["transform_matrix"][0][0] = 7
     (tmp_path / "transforms.json").write_text(json.dumps(data))
     with pytest.raises(InputError, match=r"frames\[1\]: transform_matrix: is no rotation"):
