@@ -76,7 +76,7 @@ def test_the_three_named_scenarios_are_30_s_of_vga_video():
         ),
         ("duration_s: 20", "duration_s: 20\nduration_s: 30", [":3: duration_s", "twice"]),
         (VALID, "- 1\n", ["holds no scenario"]),
-        (VALID, "seed: 2024-13-45\n", ["not valid YAML"]),
+        (VALID, "seed: 2024-13-45\n", [":1: seed", "'2024-13-45'"]),
     ],
 )
 def test_each_fault_names_file_field_and_remedy(tmp_path, old, new, expected):
