@@ -6,6 +6,8 @@
                          forward; the images are in images/
 
 Frames come in the order of their names. Images beside those with a pose, named alike, are frames without one.
+COLMAP's files are read here, as pycolmap takes a list of images or cameras that is cut short for a whole one,
+and none without points.
 Source: docs.nerf.studio, data conventions; colmap.github.io/format.html.
 """
 
