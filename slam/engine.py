@@ -172,12 +172,12 @@ class SlamEngine:
                 outcome = TrackingOutcome(False, outcome.inliers, outcome.matches, doubt.reason)
             if outcome.success:
                 self._judge_start(frame)
-            wanted = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers)
+            idle = self.backend.idle
+            is_keyframe = outcome.success and self.tracker.wants_keyframe(frame, outcome.inliers, idle)
             if self._rescue is not None:
                 outcome = self._rescue.go_on(
                     frame, self._image, outcome, self.tracker, self.camera, self.timer, self.emit
                 )
-        is_keyframe = wanted and self.backend.idle
         if is_keyframe:
             self._map(frame)
         return outcome, is_keyframe

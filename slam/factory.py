@@ -8,11 +8,13 @@ from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.dual_slam import DualSlam
 from dslab.slam.ldso.config import DsoConfig
 from dslab.slam.ldso.system import DsoSlam
+from dslab.slam.orbslam import orbslam_config
 from dslab.slam.runtime.backend import ExecutionMode
 from dslab.slam.system import MonocularSlam, MonocularSystem
 
-SYSTEMS = ("base", "dual", "dual+", "paper", "paper+", "dso", "ldso")
+SYSTEMS = ("base", "orbslam", "dual", "dual+", "paper", "paper+", "dso", "ldso")
 DIRECT = ("dso", "ldso")
+ONE_MAP = ("base", "orbslam")
 PAPERS = ("paper", "paper+")
 OwnSystem = MonocularSystem | DsoSlam
 
@@ -23,6 +25,8 @@ def default_settings(kind: str, camera: PinholeCamera) -> tuple[SlamConfig, Dual
         from dslab.slam.dual.paper import PAPER, paper_config
 
         return paper_config(camera, plus=kind == "paper+"), PAPER
+    if kind == "orbslam":
+        return orbslam_config(camera), DualConfig()
     return default_config(camera), DualConfig()
 
 
@@ -38,9 +42,9 @@ def build_system(
     """Build a system by name.
 
     Args:
-        kind: ``base``, ``dual``, ``dual+``, which is Dual-SLAM with initialisation by GMS, or ``paper`` and
-            ``paper+``: the same near the paper's text; or ``dso``, direct sparse odometry, and ``ldso``, the
-            same with loops.
+        kind: ``base``, or ``orbslam``, ORB-SLAM as published; ``dual``, ``dual+``, which is Dual-SLAM with
+            initialisation by GMS, or ``paper`` and ``paper+``: the same by the paper's text on ``orbslam``;
+            or ``dso``, direct sparse odometry, and ``ldso``, the same with loops.
         camera: intrinsics of the images to come.
         seed: root of every random stream.
         config: settings; None for those of the kind, as of :func:`default_settings`. ``dso`` and ``ldso``
@@ -56,7 +60,7 @@ def build_system(
         raise ValueError(f"unknown system {kind!r}: one of {', '.join(SYSTEMS)}")
     defaults = default_settings(kind, camera)
     config, dual = config or defaults[0], dual or defaults[1]
-    if kind == "base":
+    if kind in ONE_MAP:
         return MonocularSlam(camera, seed, config, mode)
     if kind in DIRECT:
         return DsoSlam(camera, seed, config, dso, loops=kind == "ldso")

@@ -141,6 +141,6 @@ class MapStore:
     def reach(self, map_id: int) -> Reach | None:
         """Where the camera can be since it was lost in a map; None if unknown."""
         if map_id not in self._reaches:
-            path = self.poses.trajectory(map_id, self._maps[map_id])
-            self._reaches[map_id] = Reach.of(path, self._config.place.reach)
+            path, place = self.poses.trajectory(map_id, self._maps[map_id]), self._config.place
+            self._reaches[map_id] = Reach.of(path, place.reach) if place else None
         return self._reaches[map_id]

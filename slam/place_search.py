@@ -77,6 +77,9 @@ class PlaceSearch:
                 outcome = self._begin_probation(frame, map_id)
                 if self.probation is not None:
                     break
+        if self.probation is not None and self.probation.verdict is Verdict.CONFIRMED:
+            confirmed, self.probation = self.probation, None
+            return outcome, confirmed
         return outcome, None
 
     def report(self, probation: Probation, frame: Frame, outcome: TrackingOutcome) -> None:
@@ -105,7 +108,7 @@ class PlaceSearch:
         rng = rng_for(self._seed, "relocalization", frame.features.index)
         with self._timer("relocalize"), self._lock:
             reach = store.reach(map_id)
-            also = [store.last_keyframe(map_id)]
+            also = [store.last_keyframe(map_id)] if self._config.relocalization.last_keyframe else []
             found = store.places(map_id).relocalizer.relocalize(frame, rng, reach, also=also)
             if found.success:
                 tracker = Tracker(store[map_id], self._config.tracking, self._timer)
@@ -120,6 +123,8 @@ class PlaceSearch:
                     loss.doubt,
                     reach,
                 )
+        if found.success and self._config.probation is None:
+            return TrackingOutcome(True, found.inliers, found.matches)
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
 

@@ -40,9 +40,10 @@ def run_command(
         str,
         typer.Option(
             metavar="NAMES",
-            help="base: ORB-SLAM's method; dual: Dual-SLAM; dual+: with initialization by GMS; paper and "
-            "paper+: these near the paper's text; dso: direct sparse odometry; ldso: that with loops; those "
-            "of dslab systems list; a class of your own, as module:Class; or several, such as base,dual.",
+            help="base: ORB-SLAM's method; orbslam: as published; dual: Dual-SLAM; dual+: with "
+            "initialization by GMS; paper and paper+: these by the paper's text; dso: direct sparse "
+            "odometry; ldso: that with loops; those of dslab systems list; a class of your own, as "
+            "module:Class; or several, such as base,dual.",
         ),
     ] = SYSTEM,
     systems_dir: SystemsOption = None,

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 _SYSTEMS = {
     "base": "#d9622b",
+    "orbslam": "#8c4a8c",
     "dual": "#101060",
     "dual+": "#1f6fb4",
     "paper": "#8a6d1f",

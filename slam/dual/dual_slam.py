@@ -21,6 +21,7 @@ from dslab.slam.dual.fusion.merge_recovered import RecoveredFusion
 from dslab.slam.dual.fusion.place_merging import PlaceFusion, PlaceMerger
 from dslab.slam.dual.phases import Held, Lost, Phase, Restarting, Starting, Tracking
 from dslab.slam.dual.recovery_jobs import RecoveryJob, RecoveryJobs
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map.map import Map
 from dslab.slam.runtime.backend import ExecutionMode, MapChange
 from dslab.slam.system import MonocularSlam, MonocularSystem
@@ -57,7 +58,8 @@ class DualSlam(MonocularSystem):
         self.buffer = self.jobs.buffer
         self.merger = MapMerger(self.engine, self.note_fusion)
         joins = self.dual.place_merging
-        self.places = PlaceMerger(joins, self.engine.config.place, seed) if joins else None
+        place = self.engine.config.place or PlaceCheckConfig()
+        self.places = PlaceMerger(joins, place, seed) if joins else None
 
     @property
     def settings(self) -> dict:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import ViewGeometry, share_of_motion
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
+from dslab.slam.initialization.published import published_reconstruction
 from dslab.slam.initialization.second_motion import SecondMotion, SecondMotionConfig
 from dslab.slam.initialization.two_view import TwoViewConfig, TwoViewResult, two_view_reconstruction
 from dslab.slam.map import _map_kernels as kernels
@@ -17,7 +19,8 @@ from dslab.slam.map.map import Map
 from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
 from dslab.slam.matching.gms import GmsConfig
 from dslab.slam.matching.initial import GmsMatcher, InitialMatcher, MatcherKind, WindowedMatcher
-from dslab.slam.tracking.tracker import Tracker, TrackingConfig
+from dslab.slam.tracking.config import TrackingConfig
+from dslab.slam.tracking.tracker import Tracker
 
 
 @settings
@@ -35,7 +38,8 @@ class InitializationConfig:
     gms: GmsConfig = setting(GmsConfig(), "matching of two whole frames")
     min_points: int = setting(50, "fewest map points left after the first bundle adjustment")
     max_between: int = setting(100, "most frames kept between the two views, tracked afterwards")
-    two_view: TwoViewConfig = setting(TwoViewConfig(), "geometry of two views")
+    geometry: Literal["own", "published"] = setting("own", "of two views; published: as ORB-SLAM's text says")
+    two_view: TwoViewConfig = setting(TwoViewConfig(), "settings of our own")
     second_motion: SecondMotionConfig = setting(SecondMotionConfig(), "judgement of another motion")
 
 
@@ -107,10 +111,13 @@ class Initializer:
             return None, "too_few_matches", count
         pixels_1 = np.ascontiguousarray(self.reference.features.xy[rows_1])
         pixels_2 = np.ascontiguousarray(frame.features.xy[rows_2])
-        noise = self.view.scale[self.reference.features.octave[rows_1]]
-        geometry = two_view_reconstruction(
-            pixels_1, pixels_2, self.camera.K, rng, self.config.two_view, noise
-        )
+        if self.config.geometry == "published":
+            geometry = published_reconstruction(pixels_1, pixels_2, self.camera.K, rng)
+        else:
+            noise = self.view.scale[self.reference.features.octave[rows_1]]
+            geometry = two_view_reconstruction(
+                pixels_1, pixels_2, self.camera.K, rng, self.config.two_view, noise
+            )
         if not geometry.success:
             self._between.append(frame)
             return None, geometry.reason, count

@@ -108,7 +108,7 @@ def two_view_reconstruction(
     """
     config = config or TwoViewConfig()
     pixels_1, pixels_2, scale = _validated(pixels_1, pixels_2, scale)
-    failure = _failure(len(pixels_1))
+    failure = failed(len(pixels_1))
     if len(pixels_1) < config.min_matches:
         return replace(failure, reason="too_few_matches")
     K = np.ascontiguousarray(K, np.float64)
@@ -230,7 +230,8 @@ def lead_sigmas(lead: np.ndarray, min_scatter: float) -> float:
     return float(lead.sum() / scatter)
 
 
-def _failure(n: int) -> TwoViewResult:
+def failed(n: int) -> TwoViewResult:
+    """No reconstruction of ``n`` matches, without a reason yet."""
     return TwoViewResult(
         False, "", None, np.eye(4), np.full((n, 3), np.nan), np.zeros(n, np.bool_), 0.0, 0.0, 0.0
     )

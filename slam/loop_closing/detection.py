@@ -12,7 +12,7 @@ from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.loop_closing.look_alikes import note_look_alike
-from dslab.slam.loop_closing.map_alignment import Alignment, Sim3AlignmentConfig, agree, align
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree, align
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig, fault_of_alignment
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
@@ -33,8 +33,10 @@ class LoopClosingConfig:
     )
     radius_px: float = setting(10.0, "half side of the window of that search, on level 0")
     min_matches: int = setting(40, "fewest points of the loop's surroundings matched in the keyframe")
-    adjustment_iterations: int = setting(10, "steps of global bundle adjustment after a loop closure")
-    judgement: JudgementConfig = setting(JudgementConfig(), "of the corrected copy of the map")
+    adjustment_iterations: int = setting(10, "steps of global bundle adjustment after a loop; 0 for none")
+    judgement: JudgementConfig | None = setting(
+        JudgementConfig(), "of the corrected copy of the map; null: none"
+    )
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ class LoopDetector:
     """Detects loops at the keyframes of one map."""
 
     def __init__(
-        self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig, place: PlaceCheckConfig
+        self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig, place: PlaceCheckConfig | None
     ) -> None:
         self.map = map_
         self.config = config
@@ -116,7 +118,8 @@ class LoopDetector:
     def _is_misfit(self, keyframe: int, alignment: Alignment) -> bool:
         """Return True if a similarity is that of a loop that the corrected map has spoken against lately."""
         self._misfits = [m for m in self._misfits if keyframe - m[0] < self.config.min_gap]
-        return any(agree(self.map, old, alignment, self._place.agreement) for _, old in self._misfits)
+        bounds = self._place.agreement if self._place else Agreement()
+        return any(agree(self.map, old, alignment, bounds) for _, old in self._misfits)
 
     def _consistent(self, keyframe: int) -> list[int]:
         """Candidates whose surroundings were candidates at the previous keyframes too."""
@@ -147,7 +150,7 @@ class LoopDetector:
             return None
         if self._is_misfit(keyframe, alignment):
             return None
-        reason = fault_of_alignment(m, m, alignment, rng, self._place)
+        reason = fault_of_alignment(m, m, alignment, rng, self._place) if self._place else ""
         if reason:
             return Refusal(keyframe, candidate, len(points), reason)
         return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around

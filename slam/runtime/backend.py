@@ -293,7 +293,8 @@ class Backend:
             task.detector.closed(loop)
             cpu_ms = timer.cpu_ms["detect"] + timer.cpu_ms["correct"]
             self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
-            self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
+            if adjustment is not None:
+                self._hand_over(Adjusted(task, loop, adjustment, timer.cpu_ms["adjust"]), wait=True)
 
     def _calibrate(self, task: KeyframeTask, camera: PinholeCamera, calibration: SelfCalibration) -> None:
         """Estimate the lens from a copy of the map."""
@@ -307,20 +308,23 @@ class Backend:
 
     def _correct(
         self, before: Map, loop: Loop, around: np.ndarray, config: LoopClosingConfig, timer: StageTimer
-    ) -> tuple[Map, np.ndarray, MapAdjustment] | str:
-        """Correct, adjust and judge a copy of the map: copy, scale changes, adjustment; or a reason."""
+    ) -> tuple[Map, np.ndarray, MapAdjustment | None] | str:
+        """Correct, adjust and judge a copy of the map: copy, scale changes and adjustment, or a reason."""
         if _changed(before, loop):
             return _changed(before, loop)
         with timer("correct"):
             corrected = before.copy()
             factor = correct_loop(corrected, loop, around)
-            reason = judge(before, corrected, loop).fault(config.judgement, adjusted=False)
+            bounds = config.judgement
+            reason = judge(before, corrected, loop).fault(bounds, adjusted=False) if bounds else ""
         if reason:
             return reason
+        if not config.adjustment_iterations:
+            return corrected, factor, None
         with timer("adjust"):
             apart = self._news is not None
             adjustment = adjust_globally(corrected, config.adjustment_iterations, apart)
-        reason = judge(before, corrected, loop, adjustment).fault(config.judgement, adjusted=True)
+        reason = judge(before, corrected, loop, adjustment).fault(bounds, adjusted=True) if bounds else ""
         return reason or (corrected, factor, adjustment)
 
     def _copy_of(self, map_: Map) -> Map:

@@ -118,23 +118,6 @@ def optimize_frame(frame: Frame, map_: Map, max_noise: float = 1.0) -> int:
     return int(inlier.sum())
 
 
-def place_about(
-    frame: Frame,
-    map_: Map,
-    T_cam_map: np.ndarray,
-    points: np.ndarray,
-    widen: float,
-    least: int,
-    ratio: float,
-    max_noise: float,
-) -> tuple[int, np.ndarray, np.ndarray]:
-    """Inliers, pose and matches of a frame with points projected by an assumed pose; ``least`` matches."""
-    frame.point, frame.T_cam_map = np.full(len(frame.features), -1, np.int32), np.ascontiguousarray(T_cam_map)
-    enough = match_local(frame, map_, points, widen, ratio) >= least
-    inliers = optimize_frame(frame, map_, max_noise) if enough else 0
-    return inliers, frame.T_cam_map, frame.point
-
-
 def covered_share(frame: Frame, map_: Map) -> float:
     """Share of the cells of the image with keypoints in which points of the map are found too."""
     cell = cells_of(map_.view, frame.features.xy)

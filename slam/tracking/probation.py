@@ -79,7 +79,7 @@ class Probation:
         frame: the relocalized frame.
         keyframe: the recognised keyframe.
         tracker: of the same map, not yet started.
-        config: settings.
+        config: settings; None if the pose counts at once.
         lost_at_s: time of the loss.
         earlier: probations that were withdrawn since the loss, in order.
         reach: how far the camera can have come in a time; None if unknown.
@@ -100,7 +100,7 @@ class Probation:
         frame: Frame,
         keyframe: int,
         tracker: Tracker,
-        config: ProbationConfig,
+        config: ProbationConfig | None,
         lost_at_s: float,
         earlier: Sequence[Withdrawn] = (),
         doubt: Doubt | None = None,
@@ -112,6 +112,11 @@ class Probation:
         self.frames = [frame]
         self.verdict = Verdict.PENDING
         self.reason = ""
+        self.faults: list[tuple[float, str]] = []
+        tracker.resume(frame)
+        if config is None:
+            self.verdict = Verdict.CONFIRMED
+            return
         self._config = config
         if doubt is not None:
             tracker.doubt = doubt.successor()
@@ -122,8 +127,6 @@ class Probation:
         asked_s = min(config.far_share * lost_for_s, config.far_max_s) if self._far else 0.0
         self._span_s = max(config.span_s, asked_s)
         tracker.observing = False
-        tracker.resume(frame)
-        self.faults: list[tuple[float, str]] = []
         self._sound_from: int | None = None
         self._judge(frame)
 

@@ -26,6 +26,7 @@ class RelocalizationConfig:
     """Thresholds of relocalization."""
 
     candidates: int = setting(5, "most similar keyframes tried per frame, the most similar first")
+    last_keyframe: bool = setting(True, "try the last keyframe before the loss too, however similar")
     ratio: float = setting(0.75, "best over second best distance of an unguided match", le=1)
     min_matches: int = setting(15, "unguided matches with a keyframe's points, below which it is not tried")
     ransac_iterations: int = setting(300, "most samples of the RANSAC of a pose from three points")

@@ -116,7 +116,7 @@ class DirectTracker(TrackTracker):
         self.velocity = task.step
         self._sharpest = sharpness(self.latest.pyramid)
 
-    def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
+    def wants_keyframe(self, frame: Frame, inliers: int, mapping_is_idle: bool = True) -> bool:
         """Decide as for other features, but never in a blurred image, whose corners are not the scene's.
 
         Triangulated between such images, they took the map to another scale.
@@ -124,7 +124,7 @@ class DirectTracker(TrackTracker):
         sharp = sharpness(self.latest.pyramid)
         self._sharpest = max(self._sharpest, sharp)
         blurred = sharp < _BLURRED * self._sharpest
-        return not blurred and super().wants_keyframe(frame, inliers)
+        return not blurred and super().wants_keyframe(frame, inliers, mapping_is_idle)
 
     def track(self, frame: Frame) -> TrackingOutcome:
         """Place the frame by alignment with the last placed frame or the last keyframe.

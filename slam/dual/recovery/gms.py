@@ -83,7 +83,7 @@ class GmsTracker(Tracker):
             inliers, matches = self._track_local_map(frame)
         if inliers < self._least_inliers(frame, config.min_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
-        fault = self._fault_of_crossing(frame, last)
+        fault = self.rules.loss.fault_of_view(self, frame, last)
         if fault:
             return TrackingOutcome(False, inliers, matches, fault)
         self._accept(frame, last)
@@ -91,7 +91,7 @@ class GmsTracker(Tracker):
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the next one is matched with the same keyframe."""
-        self._passed_over += 1
+        self.passed_over += 1
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
         """Take over that ``frame`` has become ``keyframe``."""

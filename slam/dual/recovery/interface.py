@@ -20,8 +20,8 @@ from dslab.slam.features.remembered import Remembered
 from dslab.slam.loop_closing.map_alignment import Alignment
 from dslab.slam.map.map import Map
 from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.tracking.config import TrackingConfig
 from dslab.slam.tracking.doubt import DoubtConfig
-from dslab.slam.tracking.tracker import TrackingConfig
 
 Found = TypeVar("Found")
 

@@ -156,15 +156,21 @@ class Overlap:
         self._found.append(alignment)
         if len(confirming) + 1 < self._config.confirmations:
             return False
-        self._objection = fault_of_alignment(old, task.new_map, alignment, task.rng, self._place)
-        if not self._objection and double_in_reach(old, task.new_map, alignment.S_old_new, self._place):
-            self._objection = "look_alike_in_reach"
+        self._objection = self._fault_of_places(old, alignment)
         if not self._objection and self._object_more is not None:
             self._objection = self._object_more(old, alignment)
         if self._objection:
             return False
         self.accepted, self.confirming = alignment, confirming
         return True
+
+    def _fault_of_places(self, old: Map, alignment: Alignment) -> str:
+        new, place = self._task.new_map, self._place
+        if place is None:
+            return ""
+        fault = fault_of_alignment(old, new, alignment, self._task.rng, place)
+        doubled = not fault and double_in_reach(old, new, alignment.S_old_new, place)
+        return "look_alike_in_reach" if doubled else fault
 
     def compare_all(self) -> None:
         """If all keyframes are to be compared at once, do so: the newest old map that fits is accepted."""

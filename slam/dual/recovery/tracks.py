@@ -68,18 +68,18 @@ class TrackTracker(Tracker):
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the next one is compared with the same frame."""
-        self._passed_over += 1
+        self.passed_over += 1
 
-    def wants_keyframe(self, frame: Frame, inliers: int) -> bool:
+    def wants_keyframe(self, frame: Frame, inliers: int, mapping_is_idle: bool = True) -> bool:
         """Decide as forward tracking does, but earlier where the map is young or ends."""
-        if not self._may_be_keyframe(frame):
+        if not self.rules.keyframe.may(self, frame, mapping_is_idle):
             return False
         if inliers < self._thread_config.min_points:
             return True
         if count_observed(self.map.arrays, frame.reference_keyframe, 3) < self._thread_config.young_points:
             known = count_observed(self.map.arrays, frame.reference_keyframe, 2)
             return inliers < self.config.keyframe_share * known
-        return super().wants_keyframe(frame, inliers)
+        return super().wants_keyframe(frame, inliers, mapping_is_idle)
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
         """Take over that ``frame``, the last placed one, has become ``keyframe``."""
@@ -107,7 +107,7 @@ class TrackTracker(Tracker):
         too_few = features + points < self._least_inliers(frame, 0)
         if too_few or features < (config.min_features_alone if alone else config.min_features):
             return TrackingOutcome(False, points, matches, "too_few_inliers"), agree
-        fault = self._fault_of_crossing(frame, reference.frame)
+        fault = self.rules.loss.fault_of_view(self, frame, reference.frame)
         if fault:
             return TrackingOutcome(False, points, matches, fault), agree
         if alone:

@@ -9,7 +9,7 @@ from dslab.experiments.eq1.spec_schema import json_schema
 from dslab.experiments.eq1.units import UnitSpec, unit_settings
 from dslab.scenarios.errors import InputError
 from dslab.slam.core.camera import PinholeCamera
-from dslab.slam.tracking.tracker import TrackingConfig
+from dslab.slam.tracking.config import TrackingConfig
 
 VALIDATOR = jsonschema.Draft202012Validator(json_schema())
 SPEC = """\

@@ -26,7 +26,7 @@ from dslab.slam.dual.recovery.orb import OrbRecoveryConfig
 from dslab.slam.dual.recovery.registry import ThreadSpec
 from dslab.slam.factory import build_system
 from dslab.slam.ldso.config import DsoConfig, WindowConfig
-from dslab.slam.tracking.tracker import TrackingConfig
+from dslab.slam.tracking.config import TrackingConfig
 
 CAMERA = PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0)
 KITTI = PinholeCamera(1241, 376, 718.0, 718.0, 607.0, 185.0, 10.0)

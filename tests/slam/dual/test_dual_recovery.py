@@ -15,7 +15,7 @@ from dslab.slam.dual.recovery_jobs import placed_keyframes
 from dslab.slam.features.remembered import Remembered
 from dslab.slam.map.invariants import check_map
 from dslab.slam.optimization.sim3 import sim3_decompose
-from dslab.slam.tracking.tracker import CrossingConfig, TrackingConfig
+from dslab.slam.tracking.config import CrossingConfig, TrackingConfig
 
 OLD = range(0, 35, 5)  # frames that are the old map's keyframes
 BLIND = range(31, 38)  # frames that show nothing

@@ -11,8 +11,8 @@ from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, Rec
 from dslab.slam.dual.recovery.registry import ThreadSpec, build_thread, parse_threads
 from dslab.slam.map.invariants import check_map
 from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.tracking.config import TrackingConfig
 from dslab.slam.tracking.doubt import DoubtConfig
-from dslab.slam.tracking.tracker import TrackingConfig
 
 # Those of the paper are these with other settings.
 KINDS = ("orb", "sift", "gms", "direct")

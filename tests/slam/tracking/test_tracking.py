@@ -10,7 +10,8 @@ from dslab.slam.core.frame import Frame, FrameFeatures
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.map._map_kernels import count_observed
 from dslab.slam.map.invariants import check_map
-from dslab.slam.tracking.tracker import Tracker, TrackingConfig
+from dslab.slam.tracking.config import TrackingConfig
+from dslab.slam.tracking.tracker import Tracker
 
 LAST = 40
 NO_FALLBACK = TrackingConfig(min_reference_matches=10**6)

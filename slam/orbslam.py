@@ -1,0 +1,169 @@
+"""ORB-SLAM as it was published, as settings of the base: the system ``orbslam``.
+
+``PUBLISHED`` says what ORB-SLAM's paper, or descriptions of its release where the paper says "enough", give.
+``NO_EFFECT`` are settings that decide nothing then, ``STAYS`` those that do and for which nothing was
+published. A test holds the three against all settings, so that what stays different is a list, not a claim.
+
+Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM: a versatile and accurate monocular SLAM system", IEEE Trans.
+Robotics 31(5), 2015; roman numbers are its sections.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, NamedTuple, TypeVar
+
+from dslab.slam.config import SlamConfig, default_config
+from dslab.slam.core.camera import PinholeCamera
+
+Settings = TypeVar("Settings")
+_ALL = 1_000_000  # no bound
+
+
+class Published(NamedTuple):
+    """A published value and where it stands."""
+
+    value: Any
+    source: str
+
+
+PUBLISHED: dict[str, Published] = {
+    "orb.n_features": Published(1000, "V-A; 2,000 in images of KITTI's size"),
+    "orb.n_levels": Published(8, "V-A"),
+    "orb.scale_factor": Published(1.2, "V-A"),
+    "orb.fast_threshold": Published(20, "release; V-A: adapted per cell"),
+    "orb.fast_min_threshold": Published(7, "release"),
+    "orb.cell_px": Published(30, "release; V-A: a grid"),
+    "orb.subpixel": Published(False, "V-A: FAST corners"),
+    "orb.noise_px": Published(1.0, "IV: a measurement error of 1 pixel"),
+    "orb.faint_share": Published(0.0, "V-A: none"),
+    "initial_features": Published(2.0, "release"),
+    "initialization.min_keypoints": Published(100, "release"),
+    "initialization.min_matches": Published(100, "release"),
+    "initialization.matcher": Published("windowed", "release; IV-1"),
+    "initialization.radius_px": Published(100.0, "release"),
+    "initialization.max_octave": Published(0, "IV-1: only at the finest scale"),
+    "initialization.ratio": Published(0.9, "release"),
+    "initialization.min_points": Published(50, "release"),
+    "initialization.max_between": Published(0, "IV: none"),
+    "initialization.geometry": Published("published", "IV-2 to IV-4"),
+    "initialization.second_motion.max_views": Published(0, "IV: none"),
+    "tracking.search": Published("published", "V-B, V-D"),
+    "tracking.gate": Published("published", "V-D, appendix"),
+    "tracking.loss": Published("published", "V-C, V-D"),
+    "tracking.keyframe": Published("published", "V-E"),
+    "tracking.max_noise": Published(1.0, "appendix: the noise of the level"),
+    "tracking.doubt.min_share": Published(0.0, "V: none"),
+    "tracking.doubt.nearer": Published(0.0, "V: none"),
+    "tracking.doubt.slower": Published(0.0, "V: none"),
+    "mapping.neighbours": Published(20, "release; VI-C: the connected keyframes"),
+    "mapping.min_baseline": Published(0.01, "release"),
+    "mapping.min_parallax_deg": Published(1.15, "release: a cosine of .9998; VI-C: parallax"),
+    "mapping.depth_around": Published(0, "VI-C: the measured parallax"),
+    "mapping.descriptor_ratio": Published(1.0, "VI-C: none"),
+    "mapping.window": Published(_ALL, "VI-D: all connected keyframes"),
+    "mapping.fixed": Published(_ALL, "VI-D: all that see the points"),
+    "mapping.robust_iterations": Published(5, "release; VI-D: outliers leave half-way"),
+    "mapping.min_found_share": Published(0.25, "VI-B"),
+    "mapping.redundancy": Published(0.9, "VI-E"),
+    "place": Published(None, "VII: none"),
+    "loops.min_gap": Published(10, "release"),
+    "loops.consistency": Published(3, "VII-A"),
+    "loops.alignment.min_candidates": Published(20, "release"),
+    "loops.alignment.min_inliers": Published(20, "release"),
+    "loops.alignment.min_share": Published(0.0, "VII-B: none"),
+    "loops.alignment.min_matches": Published(20, "release"),
+    "loops.radius_px": Published(10.0, "release"),
+    "loops.min_matches": Published(40, "release"),
+    "loops.adjustment_iterations": Published(0, "VII-D: the essential graph alone"),
+    "loops.judgement": Published(None, "VII: none"),
+    "relocalization.candidates": Published(_ALL, "V-C: every candidate"),
+    "relocalization.last_keyframe": Published(False, "V-C: candidates of the database"),
+    "relocalization.ratio": Published(0.75, "release"),
+    "relocalization.min_matches": Published(15, "release"),
+    "relocalization.ransac_iterations": Published(300, "release"),
+    "relocalization.min_pose_inliers": Published(10, "release"),
+    "relocalization.radii_px": Published((10.0, 3.0), "release"),
+    "relocalization.min_inliers": Published(50, "release"),
+    "relocalization.min_margin": Published(0.0, "V-C: none"),
+    "rescue.max_s": Published(0.0, "V: none"),
+    "self_calibration.at_keyframes": Published((), "a calibrated camera"),
+    "probation": Published(None, "V-C: tracking goes on at once"),
+    "min_map_keyframes": Published(5, "release"),
+}
+"""Settings as published, by their names."""
+
+NO_EFFECT: dict[str, str] = {
+    "initialization.gms": "initialization.matcher",
+    "initialization.two_view": "initialization.geometry",
+    "initialization.second_motion": "initialization.second_motion.max_views",
+    "tracking.search_radius_px": "tracking.search",
+    "tracking.gap_radius_px": "tracking.search",
+    "tracking.min_motion_matches": "tracking.search",
+    "tracking.min_motion_inliers": "tracking.search",
+    "tracking.reference_ratio": "tracking.search",
+    "tracking.local_map_ratio": "tracking.search",
+    "tracking.min_reference_matches": "tracking.search",
+    "tracking.local_map_keyframes": "tracking.search",
+    "tracking.min_inliers": "tracking.loss",
+    "tracking.cautious_inliers": "tracking.loss",
+    "tracking.min_share": "tracking.loss",
+    "tracking.crossing": "tracking.loss",
+    "tracking.keyframe_share": "tracking.keyframe",
+    "tracking.keyframe_cover": "tracking.keyframe",
+    "tracking.urgent_share": "tracking.keyframe",
+    "tracking.urgent_inliers": "tracking.keyframe",
+    "tracking.keyframe_interval_s": "tracking.keyframe",
+    "tracking.doubt": "tracking.doubt.min_share",
+    "relocalization.apart": "relocalization.min_margin",
+    "relocalization.apart_deg": "relocalization.min_margin",
+    "rescue": "rescue.max_s",
+    "self_calibration": "self_calibration.at_keyframes",
+}
+"""Settings, or groups of them, that decide nothing, and the setting by which that is so."""
+
+STAYS: dict[str, str] = {
+    "mapping.min_depth": "a new point is no nearer than .1 median depths; VI-C: in front of both cameras",
+    "relocalization.ransac_error_px": "5 px, as the pose is refined next; V-C gives no number",
+    "relocalization.local_map_keyframes": "20 keyframes are searched; V-C: the candidate's points",
+}
+"""Settings that are read and were not published, and what stays different by them."""
+
+STAYS_IN_CODE: tuple[str, ...] = (
+    "matches without guidance are sought among all features, in place of one node of the vocabulary (III-E)",
+    "the vocabulary has 10,000 words of rendered frames, in place of a million of photographs (III-E)",
+    "corners are spread by a quadtree, in place of a count per cell (V-A)",
+    "of each neighbour of the local map the most covisible keyframe is searched, in place of all (V-D)",
+    "mapping ends what it has begun when keyframes wait, in place of breaking off bundle adjustment (V-E)",
+    "in lockstep mapping takes no time and is always idle, so that keyframes may come frame by frame (V-E)",
+    "relocalization takes poses from three points, in place of EPnP (V-C)",
+    "the database discounts keyframes of many words (V-C, VII-A)",
+)
+"""What stays different by code that no setting reaches."""
+
+
+def orbslam_config(camera: PinholeCamera) -> SlamConfig:
+    """Settings of ORB-SLAM as published, for the size of a camera's images."""
+    config = default_config(camera)
+    size = {"orb.n_features": config.orb.n_features}
+    return with_settings(config, {name: p.value for name, p in PUBLISHED.items()} | size)
+
+
+def with_settings(config: Settings, values: Mapping[str, Any]) -> Settings:
+    """Copy settings with other values, by names such as ``tracking.doubt.nearer``."""
+    changed: dict[str, Any] = {}
+    for name, value in values.items():
+        group, _, rest = name.partition(".")
+        if rest:
+            changed[group] = with_settings(changed.get(group, getattr(config, group)), {rest: value})
+        else:
+            changed[group] = value
+    return replace(config, **changed)  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
+def names_of(config: Any, prefix: str = "") -> list[str]:
+    """Names of all settings of a group, in their order; a group that is None has but its own name."""
+    names = []
+    for f in fields(config):
+        value = getattr(config, f.name)
+        names += names_of(value, f"{prefix}{f.name}.") if is_dataclass(value) else [prefix + f.name]
+    return names

@@ -1,0 +1,93 @@
+"""ORB-SLAM's rules of tracking as they were published.
+
+The numbers are those of the text where it gives them. Where it says "enough" or "not enough", they are those
+that its public release is known by, as published descriptions of it give them; each says so.
+
+Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM: a versatile and accurate monocular SLAM system", IEEE Trans.
+Robotics 31(5), 2015, section V.
+"""
+
+import numpy as np
+
+from dslab.slam.core.frame import Frame
+from dslab.slam.tracking.local_map import local_map, match_local, optimize_frame
+from dslab.slam.tracking.rules.interface import Gate, KeyframeChoice, Loss, Search, Tracking
+from dslab.slam.tracking.rules.own import known_points, match_last, track_reference_keyframe
+
+# Half side of the window around a predicted point, px on level 0; twice as much in the wider search: release.
+_RADIUS_PX = 15.0
+# Fewest matches with the last frame, of them that survive, and with the reference keyframe: release.
+_MATCHES, _INLIERS, _REFERENCE_MATCHES = 20, 10, 15
+_RATIO = 0.8  # best over second best descriptor distance: release
+_LOCAL_KEYFRAMES = 80  # release
+# Fewest inliers of a tracked frame; more in the first second after a relocalization: release.
+_LEAST_INLIERS, _LEAST_INLIERS_RESUMED, _RESUMED_S = 30, 50, 1.0
+_FRAMES_APART = 20  # "more than 20 frames": section V-E, conditions 1 and 2
+_KEYFRAME_POINTS, _KEYFRAME_SHARE = 50, 0.9  # section V-E, conditions 3 and 4
+
+
+class PublishedSearch(Search):
+    """Section V-B: the motion model, else a wider search around the last positions; V-D: the local map."""
+
+    def predict(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
+        """Find a first pose by the motion model, by a wider search, or by the reference keyframe."""
+        starts = [(last.T_cam_map, 2.0 * _RADIUS_PX)]
+        if tracking.velocity is not None:
+            starts.insert(0, (tracking.velocity @ last.T_cam_map, _RADIUS_PX))
+        for T_cam_map, radius_px in starts:
+            start = np.ascontiguousarray(T_cam_map)
+            if match_last(tracking, frame, last, start, radius_px) >= _MATCHES:
+                frame.T_cam_map = start.copy()
+                if tracking.optimize(frame) >= _INLIERS:
+                    return True
+                break
+        return track_reference_keyframe(tracking, frame, last, _RATIO, _REFERENCE_MATCHES, _INLIERS)
+
+    def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
+        """Match a frame with its local map."""
+        keyframes, points = local_map(tracking.map, frame.point, _LOCAL_KEYFRAMES)
+        if not len(keyframes):
+            return -1
+        match_local(frame, tracking.map, points, 1.0, _RATIO, tracking.observing)
+        return int(keyframes[0])
+
+
+class PublishedGate(Gate):
+    """χ² at 95 % over one noise per pyramid level: 1 px on the finest, "in the measurement error" of IV-2."""
+
+    def optimize(self, tracking: Tracking, frame: Frame) -> int:
+        """Refine a frame's pose at the map's noise."""
+        return optimize_frame(frame, tracking.map, 1.0)
+
+
+class PublishedLoss(Loss):
+    """A count of inliers, higher for a second after a relocalization."""
+
+    def least_inliers(self, tracking: Tracking, frame: Frame, usual: int) -> int:
+        """``usual``."""
+        return usual
+
+    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int, matches: int) -> str:
+        """Why a frame counts as lost."""
+        resumed = tracking.resumed
+        lately = resumed is not None and abs(frame.features.stamp_s - resumed.stamp_s) < _RESUMED_S - 1e-6
+        least = _LEAST_INLIERS_RESUMED if lately else _LEAST_INLIERS
+        return "too_few_local_map_inliers" if inliers < least else ""
+
+
+class PublishedKeyframeChoice(KeyframeChoice):
+    """Section V-E: four conditions, all of which must hold."""
+
+    def may(self, tracking: Tracking, frame: Frame, mapping_is_idle: bool) -> bool:
+        """Conditions 1 and 2: far from a relocalization; mapping idle, or far from the last keyframe."""
+        now, last, resumed = frame.features.index, tracking.last_keyframe, tracking.resumed
+        if resumed is not None and abs(now - resumed.index) <= _FRAMES_APART:
+            return False
+        return mapping_is_idle or last is None or abs(now - last.index) > _FRAMES_APART
+
+    def wants(self, tracking: Tracking, frame: Frame, inliers: int, mapping_is_idle: bool) -> bool:
+        """Return True if all four hold."""
+        if not self.may(tracking, frame, mapping_is_idle):
+            return False
+        known = known_points(tracking.map, frame)
+        return inliers >= _KEYFRAME_POINTS and inliers < _KEYFRAME_SHARE * known
