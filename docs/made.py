@@ -33,8 +33,29 @@ from dslab.scenarios.segments import SEGMENT_KINDS
 from dslab.scenarios.worlds import WORLD_KINDS, Aliasing
 from dslab.sim.degradations.recorded_kinds import recorded_sequence_kinds
 from dslab.sim.degradations.registry import DEGRADATIONS
+from dslab.slam import orbslam
+from dslab.slam.dual import paper
 
 WIDTH = 116
+
+
+def what_stays_different() -> str:
+    """What the systems by the published texts have that these do not say."""
+    base = [f"`{name}`: {what}" for name, what in orbslam.STAYS.items()]
+    dual = [f"`{name}`: {what}" for name, what in paper.STAYS.items()]
+    count = len(orbslam.PUBLISHED)
+    return "\n".join(
+        [
+            f"**Of `orbslam`** ({count} settings are published):\n",
+            *_bullets([*base, *orbslam.STAYS_IN_CODE]),
+            "\n**Of `paper` and `paper+`, beside that:**\n",
+            *_bullets([*dual, *paper.STAYS_IN_CODE]),
+        ]
+    )
+
+
+def _bullets(lines: list[str]) -> list[str]:
+    return [textwrap.fill(line, WIDTH, initial_indent="- ", subsequent_indent="  ") for line in lines]
 
 
 def stress_kinds() -> str:
