@@ -1,4 +1,4 @@
-"""The two recovery threads near the paper's text: kinds ``paper_orb`` and ``paper_sift``.
+"""The two recovery threads of the paper's text: kinds ``paper_orb`` and ``paper_sift``.
 
 They run on the system's corners, tracking, mapping and new map. Refinement by SIFT and ORB together and SIFT
 in the bundle adjustment stay, which the text does not have.
