@@ -12,7 +12,7 @@ from dslab.slam.orbslam import orbslam_config
 from dslab.slam.runtime.backend import ExecutionMode
 from dslab.slam.system import MonocularSlam, MonocularSystem
 
-SYSTEMS = ("base", "orbslam", "dual", "dual+", "paper", "paper+", "dso", "ldso")
+SYSTEMS = ("base", "dual", "dual+", "orbslam", "paper", "paper+", "dso", "ldso")
 DIRECT = ("dso", "ldso")
 ONE_MAP = ("base", "orbslam")
 PAPERS = ("paper", "paper+")

@@ -43,7 +43,7 @@ FormName = Literal["tum", "kitti", "euroc", "vslam-lab"]
 """Writable forms of sequence folders."""
 TruthFormName = Literal["tum", "kitti", "euroc"]
 ModeName = Literal["lockstep", "threaded"]
-SystemName = Literal["base", "orbslam", "dual", "dual+", "paper", "paper+", "dso", "ldso"]
+SystemName = Literal["base", "dual", "dual+", "orbslam", "paper", "paper+", "dso", "ldso"]
 
 
 def _check_seed(seed: int | None) -> int | None:

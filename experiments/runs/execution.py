@@ -22,7 +22,7 @@ from dslab.slam.core.results import MapTrajectory, TrackingResult
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.map.map import Map
 
-SystemKind = Literal["base", "orbslam", "dual", "dual+", "paper", "paper+", "dso", "ldso"]
+SystemKind = Literal["base", "dual", "dual+", "orbslam", "paper", "paper+", "dso", "ldso"]
 """Our systems, see ``slam.factory``; a plug-in goes by any other name."""
 Mode = Literal["lockstep", "threaded"]
 """Schedule of tracking, mapping and loop closing: ``slam.runtime.backend.ExecutionMode`` by name."""
