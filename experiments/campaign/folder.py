@@ -129,7 +129,7 @@ def release_of(folder: Path) -> str | None:
     """
     if not _is_exported(folder):
         return None
-    with _parquet(folder / TABLE_FILE) as file:
+    with open_parquet(folder / TABLE_FILE) as file:
         return _about(file).get(b"release", b"unknown").decode()
 
 
@@ -181,14 +181,14 @@ def export(folder: Path, csv: bool = False) -> Path:
     about = {
         "experiment": spec.name,
         "spec_hash": spec.content_hash,
-        "spec_digest": _spec_digest(folder),
+        "spec_digest": spec_digest(folder),
         "release": release(),
     }
     for name, types, found in (
         (TABLE_FILE, columns(threads), rows),
         (ERRORS_FILE, ERROR_COLUMNS, errors),
     ):
-        told = about | {"digest": _digest(found)}
+        told = about | {"digest": rows_digest(found)}
         schema = pa.schema([(column, getattr(pa, _ARROW[kind])()) for column, kind in types.items()], told)
         write_file(folder / name, partial(_write_parquet, rows=found, schema=schema))
     if csv:
@@ -205,7 +205,7 @@ def _write_parquet(path: Path, rows: list[Row], schema: Any) -> None:
 
 
 @contextmanager
-def _parquet(path: Path) -> "Iterator[pq.ParquetFile]":
+def open_parquet(path: Path) -> "Iterator[pq.ParquetFile]":
     """A file, of which nothing but its description has been read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -240,7 +240,7 @@ def _read_table(
     """
     import pyarrow as pa
 
-    with _parquet(path) as file:
+    with open_parquet(path) as file:
         about, found = _about(file), {field.name: str(field.type) for field in file.schema_arrow}
         if differing := set(found) ^ set(types):
             problem = f"is damaged: missing or unknown columns: {', '.join(sorted(differing))}"
@@ -254,12 +254,12 @@ def _read_table(
         table = file.read()
         table.validate(full=True)
         rows = table.to_pylist()
-    if about.get(b"spec_digest") != _spec_digest(path.parent).encode():
+    if about.get(b"spec_digest") != spec_digest(path.parent).encode():
         raise InputError(str(path), "was exported with another spec.yaml than stands beside it", _EXPORT)
     for row in rows:
         if found_fault := fault(row):
             raise InputError(f"{path}: row {row.get('unit_id')!r}", f"is damaged: {found_fault}", _EXPORT)
-    if about.get(b"digest") != _digest(rows).encode():
+    if about.get(b"digest") != rows_digest(rows).encode():
         raise InputError(str(path), "is damaged: its rows are not those that were written", _EXPORT)
     return rows
 
@@ -286,11 +286,11 @@ def _is_exported(folder: Path) -> bool:
     return not is_given(folder / LEDGER_FILE) and is_given(folder / TABLE_FILE)
 
 
-def _spec_digest(folder: Path) -> str:
+def spec_digest(folder: Path) -> str:
     return hashlib.sha256(read_bytes(folder / SPEC_FILE, SETTINGS_BYTES)).hexdigest()
 
 
-def _digest(rows: list[Row]) -> str:
+def rows_digest(rows: list[Row]) -> str:
     """Digest of rows: of theirs, in order."""
     return _digest_of({str(number): _digest_of(row) for number, row in enumerate(rows)})
 

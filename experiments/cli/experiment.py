@@ -18,6 +18,12 @@ from dslab.experiments.cli.console import (
     say,
 )
 from dslab.experiments.cli.experiment_answer import print_report, print_systems, print_warnings
+from dslab.experiments.cli.experiment_claims import (
+    claim_report,
+    claim_status,
+    refuse_claim,
+    run_claim_command,
+)
 from dslab.experiments.cli.experiment_specs import list_command, show_command
 from dslab.experiments.cli.experiment_units import unit_to_replay
 from dslab.experiments.cli.fuzz import fuzz_command
@@ -75,6 +81,8 @@ def merge_command(
     """
     from dslab.experiments.campaign.merge import merge
 
+    for folder in sources:
+        refuse_claim(folder, "merge")
     done = merge(out_dir, sources)
     known = f", {done.known} were known with the same outcome" if done.known else ""
     say(f"{done.added} units added{known}: {done.done} of {done.total} in {out_dir}")
@@ -127,8 +135,13 @@ def run_command(
     from dslab.experiments.campaign.runner import run_experiment
     from dslab.experiments.campaign.schedule import Schedule
     from dslab.experiments.campaign.workers import unit_workers
+    from dslab.experiments.claims.loading import is_claim
     from dslab.experiments.eq1.spec import load_spec
 
+    if is_claim(experiment):
+        of_workers = (workers, scheduler, timeout, memory)
+        run_claim_command(experiment, out_dir, worlds, of_workers, last_first, rerun_damaged, as_json)
+        return
     spec = load_spec(experiment)
     if worlds is not None:
         spec = spec.model_copy(update={"worlds": worlds})
@@ -194,7 +207,11 @@ def status_command(folder: FolderArgument, as_json: JsonOption = False) -> None:
     from dataclasses import asdict
 
     from dslab.experiments.campaign.status import experiment_status
+    from dslab.experiments.claims.loading import is_claim
 
+    if is_claim(folder):
+        claim_status(folder, as_json)
+        return
     status = experiment_status(folder)
     if as_json:
         print_json_line(asdict(status))
@@ -262,6 +279,7 @@ def replay_command(
     from dslab.experiments.campaign.workers import UnitWorkers
     from dslab.experiments.jobs.pool import PoolSettings
 
+    refuse_claim(folder, "replay")
     if unit is not None and outcome is not None:
         raise InputError("--outcome", f"the unit {unit} is named already", "give one of them")
     unit = unit or unit_to_replay(folder, outcome)
@@ -304,6 +322,7 @@ def export_command(
     """
     from dslab.experiments.campaign.folder import export
 
+    refuse_claim(folder, "export")
     say(f"one row per unit in {export(folder, csv)}")
 
 
@@ -320,9 +339,13 @@ def report_command(
 
     `dslab experiment report out/smoke --recordings 3`
     """
+    from dslab.experiments.claims.loading import is_claim
     from dslab.experiments.report.write import FIGURES, write_report
     from dslab.scenarios.input_files import read_json
 
+    if is_claim(folder):
+        claim_report(folder)
+        return
     with progress_bars() as show:
         show("figures", 0, 1)
         path = write_report(folder, recordings, lambda done, total: show("recordings", done, total))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dslab.experiments.cli.console import print_rows, print_yaml
+from dslab.experiments.cli.experiment_claims import claim_folder_row, claim_rows, show_claim
 from dslab.scenarios.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,18 +41,26 @@ def list_command(
             "experiment": name,
             "units": len(spec.cells) * spec.units,
             "takes": _takes(spec),
-            "what it is": _FIRST_PART.split(spec.description)[0],
+            "what it is": first_part(spec.description),
         }
 
-    print_rows(map(preset, preset_names()))
+    print_rows([*map(preset, preset_names()), *claim_rows()])
     if found := list(map(_folder, experiments_under(place))):
         print_rows(found)
 
 
+def first_part(description: str) -> str:
+    """The first part of a description: to its first full stop, colon or question mark."""
+    return _FIRST_PART.split(" ".join(description.split()))[0]
+
+
 def _folder(folder: Path) -> dict[str, Any]:
     from dslab.experiments.campaign.status import experiment_status
+    from dslab.experiments.claims.loading import is_claim
 
     try:
+        if is_claim(folder):
+            return claim_folder_row(folder)
         status = experiment_status(folder)
     except InputError as error:
         return {"folder": folder, "experiment": None, "state": error.problem, "units": None}
@@ -79,9 +88,13 @@ def show_command(
     """
     from dslab.experiments.campaign.folder import SPEC_FILE, read_rows
     from dslab.experiments.campaign.status import experiment_status
+    from dslab.experiments.claims.loading import is_claim
     from dslab.experiments.eq1.spec import PRESET_DIR, load_spec, preset_names
     from dslab.scenarios.input_files import SETTINGS_BYTES, is_folder, read_text
 
+    if is_claim(experiment):
+        show_claim(experiment)
+        return
     path = PRESET_DIR / f"{experiment}.yaml" if experiment in preset_names() else Path(experiment)
     if is_folder(path):
         status, (spec, rows) = experiment_status(path), read_rows(path)
@@ -121,10 +134,16 @@ def _about(spec: "ExperimentSpec", rows: list[dict[str, Any]]) -> list[str]:
 def _takes(spec: "ExperimentSpec", rows: list[dict[str, Any]] | None = None) -> str:
     """The expected time with a worker on every core, in words."""
     from dslab.experiments.campaign.overview import expected_worker_s
+
+    return in_words(expected_worker_s(spec, rows or ()))
+
+
+def in_words(worker_s: float) -> str:
+    """Worker time as the time that it takes with a worker on every core."""
     from dslab.experiments.runs.provenance import usable_cores
 
     cores = usable_cores()
-    minutes = expected_worker_s(spec, rows or ()) / cores / 60
+    minutes = worker_s / cores / 60
     hours = minutes / 60
     time = (
         f"{minutes:.0f} min" if hours < 1.5 else f"{hours:.0f} h" if hours < 48 else f"{hours / 24:.0f} days"

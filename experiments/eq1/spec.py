@@ -16,7 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from dslab.experiments.eq1.records import SHAM
 from dslab.experiments.eq1.spec_parts import Base, Degradation, Threads, base_mixtures, stress_mixtures
-from dslab.experiments.eq1.unit_drawing import Cell, draw_scenario, written_base
+from dslab.experiments.eq1.unit_drawing import Cell, Drawn, draw_scenario, written_base
 from dslab.experiments.eq1.units import (
     RECOVERING,
     ArmName,
@@ -280,7 +280,7 @@ def validated(data: Any, file: YamlFile) -> ExperimentSpec:
         spec = ExperimentSpec.model_validate(data)
     except ValidationError as error:
         raise all_faults(error, file.where, root=ExperimentSpec) from None
-    collect(_distribution_faults(file), None)
+    collect(distribution_faults(file), None)
     return spec
 
 
@@ -288,7 +288,7 @@ def _load(path: Path) -> ExperimentSpec:
     file = read_spec_file(path)
     spec = validated(file.data, file)
     unit_settings(spec.settings, spec.threads, file.where)
-    faults = list(_mixtures(spec, file))
+    faults = list(mixtures(spec, file))
     for cell in spec.cell_names():
         try:
             spec._unit(cell, 0, file.where)
@@ -299,17 +299,17 @@ def _load(path: Path) -> ExperimentSpec:
     return spec
 
 
-def _distribution_faults(file: YamlFile) -> list[InputError]:
+def distribution_faults(file: YamlFile) -> list[InputError]:
     """What is meant as a distribution and is none."""
     return [
         InputError(file.where(at), found.problem, found.remedy)
         for key in ("bases", "degradations")
-        for at, found in distributions_in(file.data[key], (key,))
+        for at, found in distributions_in(file.data.get(key, {}), (key,))
         if isinstance(found, NotationError)
     ]
 
 
-def _mixtures(spec: ExperimentSpec, file: YamlFile) -> Iterator[InputError]:
+def mixtures(spec: Drawn, file: YamlFile) -> Iterator[InputError]:
     """What mixes populations in a cell."""
     cells = spec.cells.values()
     drawn_from = {(cell.base, id(cell.written)): cell.written for cell in cells}

@@ -1,20 +1,18 @@
 """Draw the scenario of a unit from its cell and seeds."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from pydantic import ValidationError
 
+from dslab.experiments.eq1.spec_parts import Base, Degradation
 from dslab.scenarios.drawing import Draw
 from dslab.scenarios.families import load_family, merged
 from dslab.scenarios.faults import all_faults
 from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.spec import Scenario
 from dslab.scenarios.yaml_file import Location
-
-if TYPE_CHECKING:
-    from dslab.experiments.eq1.spec import ExperimentSpec
 
 PARTS = ("world", "trajectory", "camera")
 
@@ -40,6 +38,31 @@ class Cell:
     system: Any
 
 
+class Drawn(Protocol):
+    """What scenarios are drawn from: the spec of an experiment.
+
+    Attributes:
+        bases, degradations, cells: what its conditions are made of, and they by name.
+        lead_in_s, exposed_s, tail_s: parts of a sequence.
+        repeats: units of a sequence, with noise of their own if there are several.
+    """
+
+    @property
+    def bases(self) -> Mapping[str, Base]: ...
+    @property
+    def degradations(self) -> tuple[Degradation, ...]: ...
+    @property
+    def cells(self) -> Mapping[str, Cell]: ...
+    @property
+    def lead_in_s(self) -> float: ...
+    @property
+    def exposed_s(self) -> float: ...
+    @property
+    def tail_s(self) -> float: ...
+    @property
+    def repeats(self) -> int: ...
+
+
 def written_base(family: str | None, member: str | None, own: dict[str, Any]) -> tuple[dict[str, Any], ...]:
     """World, trajectory and camera of a base: its own fields over those of its family.
 
@@ -61,7 +84,7 @@ def written_base(family: str | None, member: str | None, own: dict[str, Any]) ->
 
 
 def draw_scenario(
-    spec: "ExperimentSpec", cell: Cell, index: int, seeds: dict[str, int], where: Callable[[Location], str]
+    spec: Drawn, cell: Cell, index: int, seeds: dict[str, int], where: Callable[[Location], str]
 ) -> Scenario:
     """Draw the scenario of a unit.
 
@@ -104,7 +127,7 @@ def draw_scenario(
         raise all_faults(error, lambda at: where(_in_spec(spec, cell, at)), of_sample) from None
 
 
-def _segments(spec: "ExperimentSpec", cell: Cell, draw: Draw) -> list[dict[str, Any]]:
+def _segments(spec: Drawn, cell: Cell, draw: Draw) -> list[dict[str, Any]]:
     """The degradation as a segment; none in a sham."""
     if cell.degradation is None or cell.dose is None:
         return []
@@ -126,7 +149,7 @@ def _segments(spec: "ExperimentSpec", cell: Cell, draw: Draw) -> list[dict[str, 
     return [segment | ({"ramp_s": acts_s, "fall_s": 0.0} if degradation.creeping else {})]
 
 
-def _in_spec(spec: "ExperimentSpec", cell: Cell, at: Location) -> Location:
+def _in_spec(spec: Drawn, cell: Cell, at: Location) -> Location:
     """Location in the spec of a field of the scenario."""
     if at[:1] != ("segments",) or cell.degradation is None:
         return ("bases", cell.base, *at)

@@ -66,14 +66,14 @@ def write_files(report: dict[str, Any], folder: Path) -> Path:
         for plot in plots.values():
             plot.write(place)
     texts = {PAGE: page}
-    if not _says_the_same(folder / FIGURES, report):
+    if not says_the_same(folder / FIGURES, report):
         texts[FIGURES] = to_json(report, indent=1) + "\n"
     for name, text in texts.items():
         write_file(folder / name, partial(Path.write_text, data=text, encoding="utf-8"))
     return folder / PAGE
 
 
-def _says_the_same(path: Path, report: dict[str, Any]) -> bool:
+def says_the_same(path: Path, report: dict[str, Any]) -> bool:
     """True if a file holds the figures of a report but for rounding and the code that wrote it.
 
     Published figures are then left as they are: another processor rounds the last digits otherwise.

@@ -118,6 +118,23 @@ def t_of_log_ratio(
     return ratio.value / error if error else ratio.t
 
 
+def median_interval(by_world: Floats) -> Interval:
+    """Median over worlds with the interval between two of their order statistics, of at least 95 %.
+
+    The number of (W,) values below the true median is binomial with share 1/2, whatever their distribution:
+    [x_(k), x_(W + 1 - k)] misses it with probability 2 P(B < k), and k is the largest for which that is at
+    most 5 %. Below six worlds there is none, and the interval is unbounded.
+
+    Source: Conover, Practical Nonparametric Statistics, 1999, Sec. 3.2.
+    """
+    ordered = np.sort(np.asarray(by_world, float))
+    middle = float(np.median(ordered))
+    k = int(stats.binom.ppf(0.025, len(ordered), 0.5))
+    if 2 * stats.binom.cdf(k, len(ordered), 0.5) <= 0.05:
+        k += 1
+    return Interval(middle, float(ordered[k - 1]), float(ordered[-k])) if k else Interval(middle, -inf, inf)
+
+
 def few_events(by_world: Floats, shares: tuple[float, ...] = ()) -> bool:
     """Return True if too few worlds have an event for the spread of (W,) means to be known."""
     worlds, nothing = len(by_world), ROUNDING * float(np.abs(by_world).max(initial=0.0))

@@ -1,0 +1,37 @@
+"""The kinds of experiments on claims, by the ``kind`` of their spec."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+Unit = dict[str, Any]
+"""Plain JSON data that names its world; what of it is a number or text is in its rows too."""
+Row = dict[str, Any]
+"""A flat row of plain numbers, text and None."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is measured, in units of which each is one job, and what is made of the rows.
+
+    Attributes:
+        spec: the class of its specs, a ``ClaimSpec`` with the literal of its name.
+        units: of a spec, in order.
+        measure: rows of a unit, which depend on spec and unit only; pickled by its name.
+        figures: of a spec and the table of all rows, JSON data: every number with interval and number of
+            worlds; its ``answer``, a list of sentences, is printed.
+        draw: the figure of a spec and its figures, of a width in inches.
+    """
+
+    spec: type[Any]
+    units: Callable[[Any], list[Unit]]
+    measure: Callable[[Any, Unit], list[Row]]
+    figures: "Callable[[Any, pd.DataFrame], dict[str, Any]]"
+    draw: "Callable[[Any, dict[str, Any], float], Figure]"
+
+
+KINDS: dict[str, Kind] = {}
