@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dslab.experiments.campaign.folder import open_parquet, rows_digest, spec_digest
-from dslab.experiments.claims.kinds import KINDS, Row, Unit
+from dslab.experiments.claims.kinds import KINDS
 from dslab.experiments.claims.loading import load_claim
-from dslab.experiments.claims.spec import ClaimSpec
+from dslab.experiments.claims.spec import ClaimSpec, Row, Unit
 from dslab.experiments.jobs.ledger import LEDGER_FILE, Ledger, Owner
 from dslab.experiments.runs.provenance import release
 from dslab.scenarios.errors import InputError

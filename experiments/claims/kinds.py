@@ -4,14 +4,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from dslab.experiments.claims import two_view, two_view_figures
+from dslab.experiments.claims.spec import Row, Unit
+
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
-
-Unit = dict[str, Any]
-"""Plain JSON data that names its world; what of it is a number or text is in its rows too."""
-Row = dict[str, Any]
-"""A flat row of plain numbers, text and None."""
 
 
 @dataclass(frozen=True)
@@ -34,4 +32,12 @@ class Kind:
     draw: "Callable[[Any, dict[str, Any], float], Figure]"
 
 
-KINDS: dict[str, Kind] = {}
+KINDS: dict[str, Kind] = {
+    "two_view": Kind(
+        two_view.TwoViewSpec,
+        two_view.units,
+        two_view.measure,
+        two_view_figures.figures,
+        two_view_figures.draw,
+    ),
+}

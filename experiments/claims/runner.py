@@ -15,8 +15,8 @@ from typing import Any
 from dslab.experiments.campaign.folder import SPEC_FILE, claim_folder
 from dslab.experiments.campaign.runner import Show, Tally
 from dslab.experiments.claims.folder import owner_of, unit_key
-from dslab.experiments.claims.kinds import KINDS, Row, Unit
-from dslab.experiments.claims.spec import ClaimSpec
+from dslab.experiments.claims.kinds import KINDS
+from dslab.experiments.claims.spec import ClaimSpec, Row, Unit
 from dslab.experiments.jobs.ledger import Ledger, renew_ledger, sole_driver
 from dslab.experiments.jobs.pool import PoolSettings, open_pool
 from dslab.experiments.runs.files import plain

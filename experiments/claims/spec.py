@@ -19,6 +19,10 @@ from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.spec import Scenario
 from dslab.scenarios.strict import Strict
 
+Unit = dict[str, Any]
+"""Plain JSON data that names its world; what of it is a number or text is in its rows too."""
+Row = dict[str, Any]
+"""A flat row of plain numbers, text and None."""
 ENOUGH_WORLDS = 30
 """With fewer worlds an experiment is a look."""
 _NAME = r"^[a-z0-9][a-z0-9_-]*$"
@@ -34,7 +38,7 @@ class ClaimSpec(Strict):
 
     repeats: ClassVar[int] = 1
 
-    kind: str
+    kind: Any  # the literal of its name in each kind
     name: str = Field(pattern=_NAME, max_length=40)
     description: str = ""
     claim: str = Field(min_length=1, description="the paper's sentence")
