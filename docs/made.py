@@ -14,6 +14,7 @@ from typer.cli import get_docs_for_click
 
 from dslab.experiments.batch.rows import COLUMNS as BATCH_COLUMNS
 from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.claims.loading import claim_presets, load_claim
 from dslab.experiments.cli.commands import app
 from dslab.experiments.eq1.doses import AXES
 from dslab.experiments.eq1.records import FAILURES, PAIR_COLUMNS, THREAD_COLUMNS, UNIT_COLUMNS
@@ -147,7 +148,10 @@ def _members(names: list[str]) -> str:
 
 def presets() -> str:
     """Every experiment that comes with dslab."""
-    return "\n".join(_item(f"**`{name}`**: {load_spec(name).description}") for name in preset_names()) + "\n"
+    of_eq1 = {name: load_spec(name).description for name in preset_names()}
+    claimed = {name: load_claim(name) for name in claim_presets()}
+    on_claims = {name: f"Sec. {spec.section}. {spec.description}" for name, spec in claimed.items()}
+    return "\n".join(_item(f"**`{name}`**: {told}") for name, told in (of_eq1 | on_claims).items()) + "\n"
 
 
 def boundary_doses() -> str:

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.figure import Figure as Drawing
 
 from dslab.experiments.claims.two_view import TwoViewSpec
-from dslab.experiments.claims.world_medians import over_worlds, shown
+from dslab.experiments.claims.world_medians import draw_over, over_worlds, shown
 from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
@@ -29,6 +29,7 @@ from dslab.experiments.statistics.world_intervals import median_interval, share_
 OFF_DEG = (5.0, 10.0)
 """A direction further off is wrong."""
 _SURE = 0.99
+_SHIFT = 1.12
 _COLOURS = (BLUE, ORANGE, GREEN, PURPLE, SKY)
 
 
@@ -132,17 +133,11 @@ def draw(spec: TwoViewSpec, found: dict[str, Any], width_in: float) -> Drawing:
     telling = f"telling_{OFF_DEG[0]:g}"
     for number, scene in enumerate(scenes):
         for place, name in ((axes[number], "direction_deg"), (axes[number + len(scenes)], telling)):
-            for gap, colour in zip(spec.gaps, _COLOURS, strict=False):
-                own = [rows[at] for at in ((scene, gap, n) for n in spec.iterations) if at in rows]
-                own = [row for row in own if row[name]]
-                x = [row["samples"] for row in own]
-                place.plot(
-                    x, [row[name]["value"] for row in own], "o-", color=colour, markersize=3, linewidth=1.2
-                )
-                for row in own:
-                    if row[name]["low"] is not None and row[name]["high"] is not None:
-                        ends = [row[name]["low"], row[name]["high"]]
-                        place.plot([row["samples"]] * 2, ends, color=colour, linewidth=0.8)
+            for shift, (gap, colour) in enumerate(zip(spec.gaps, _COLOURS, strict=False)):
+                at = [(n, rows.get((scene, gap, n))) for n in spec.iterations]
+                # Beside each other, so that no interval hides another.
+                points = [(n * _SHIFT**shift, row[name]) for n, row in at if row]
+                draw_over(place, points, colour)
             place.set(xscale="log", xlabel="samples" if name == telling else "")
             place.tick_params(labelsize=8)
         axes[number].set_yscale("log")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure as Drawing
 
 from dslab.experiments.claims import ransac_figures
 from dslab.experiments.claims.two_view import TwoViewSpec
-from dslab.experiments.claims.world_medians import over_worlds, shown
+from dslab.experiments.claims.world_medians import draw_over, over_worlds, shown
 from dslab.experiments.report.plots.style import (
     BLUE,
     GREEN,
@@ -85,12 +85,14 @@ def _by_scene(spec: TwoViewSpec, rows: pd.DataFrame) -> Iterator[dict[str, Any]]
     names = [f"{error}{suffix}" for error in _ERRORS for suffix in _ESTIMATES]
     names += [*_BOUNDS.values(), "depth_true_pose", "noise_px", "right", "off_plane"]
     for scene in spec.cells:
-        own = rows[(rows["scene"] == scene) & rows["direction_deg"].notna()]
+        of_scene = rows[rows["scene"] == scene]
+        own = of_scene.dropna(subset=["direction_deg"])
         if len(own):
             yield {
                 "scene": scene,
                 "worlds": int(own["world"].nunique()),
                 "pairs": len(own),
+                "without_pose": len(of_scene) - len(own),
                 **{over: float(own[over].median()) for over in _OVER},
                 **{name: over_worlds(own, name) for name in [*names, *_ratios(own)]},
             }
@@ -168,14 +170,8 @@ def draw_conditioning(spec: TwoViewSpec, found: dict[str, Any], width_in: float)
 def _draw_line(
     axes: Axes, rows: Sequence[dict[str, Any]], over: str, name: str, colour: str, line: str, mark: str
 ) -> None:
-    known = [row for row in rows if row[name] and row[name]["value"]]
-    x, y = [row[over] for row in known], [row[name]["value"] for row in known]
-    axes.plot(x, y, line, marker=mark, color=colour, markersize=3, linewidth=1.2)
-    if line == "-":
-        ends = [(row[name]["low"], row[name]["high"]) for row in known]
-        for at, (low, high) in zip(x, ends, strict=True):
-            if low and high is not None and np.isfinite([low, high]).all():
-                axes.plot([at, at], [low, high], color=colour, linewidth=0.8)
+    points = [(row[over], row[name]) for row in rows if row[name] and row[name]["value"]]
+    draw_over(axes, points, colour, line, mark, ends=line == "-")
 
 
 def _set_up(axes: Axes, over: str, title: str) -> None:

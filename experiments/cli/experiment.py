@@ -135,14 +135,14 @@ def run_command(
     from dslab.experiments.campaign.runner import run_experiment
     from dslab.experiments.campaign.schedule import Schedule
     from dslab.experiments.campaign.workers import unit_workers
-    from dslab.experiments.claims.loading import is_claim
+    from dslab.experiments.claims.loading import claim_presets, is_claim
     from dslab.experiments.eq1.spec import load_spec
 
     if is_claim(experiment):
         of_workers = (workers, scheduler, timeout, memory)
         run_claim_command(experiment, out_dir, worlds, of_workers, last_first, rerun_damaged, as_json)
         return
-    spec = load_spec(experiment)
+    spec = load_spec(experiment, claim_presets())
     if worlds is not None:
         spec = spec.model_copy(update={"worlds": worlds})
     units = unit_workers(spec, systems_dir or (), workers, scheduler, timeout, memory)

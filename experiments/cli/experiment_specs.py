@@ -88,7 +88,7 @@ def show_command(
     """
     from dslab.experiments.campaign.folder import SPEC_FILE, read_rows
     from dslab.experiments.campaign.status import experiment_status
-    from dslab.experiments.claims.loading import is_claim
+    from dslab.experiments.claims.loading import claim_presets, is_claim
     from dslab.experiments.eq1.spec import PRESET_DIR, load_spec, preset_names
     from dslab.scenarios.input_files import SETTINGS_BYTES, is_folder, read_text
 
@@ -101,7 +101,7 @@ def show_command(
         state = [f"{status.done} of {status.total} units are done"]
         path = path / SPEC_FILE
     else:
-        spec, rows, state = load_spec(experiment), [], []
+        spec, rows, state = load_spec(experiment, claim_presets()), [], []
     text = read_text(path, SETTINGS_BYTES, "check the path")
     print_yaml("".join(f"# {line}\n" for line in [*_about(spec, rows), *state]) + text)
 

@@ -6,7 +6,7 @@ degradation acts, and a clean tail. They are replicates of sequences in worlds. 
 world, path and noise in every cell: two cells differ only in what their names state.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -243,10 +243,14 @@ def preset_names() -> list[str]:
     return sorted(path.stem for path in PRESET_DIR.glob("*.yaml"))
 
 
-def load_spec(path_or_preset: str | Path) -> ExperimentSpec:
+def load_spec(path_or_preset: str | Path, others: Iterable[str] = ()) -> ExperimentSpec:
     """Load an experiment by the name of a preset or from a YAML file.
 
     The first unit of every cell is drawn, so that an invalid scenario is found before the run.
+
+    Args:
+        path_or_preset: name of a preset, or a file.
+        others: names that the caller knows as well, for who misspells one.
 
     Raises:
         InputError: the preset or file does not exist, or is no valid YAML or experiment.
@@ -256,8 +260,8 @@ def load_spec(path_or_preset: str | Path) -> ExperimentSpec:
         return _load(PRESET_DIR / f"{text}.yaml")
     if Path(text).suffix in (".yaml", ".yml"):
         return _load(Path(text))
-    likely = guess(text, preset_names())
-    remedy = f"use {likely}one of {', '.join(preset_names())}, or the path of a .yaml file"
+    known = [*preset_names(), *others]
+    remedy = f"use {guess(text, known)}one of {', '.join(known)}, or the path of a .yaml file"
     raise InputError(text, "no such experiment", remedy)
 
 

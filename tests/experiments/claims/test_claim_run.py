@@ -9,9 +9,10 @@ from claim_fakes import FAILS, KIND, SPEC
 
 from dslab.experiments.claims.folder import read_claim
 from dslab.experiments.claims.kinds import KINDS
-from dslab.experiments.claims.loading import is_claim, load_claim
+from dslab.experiments.claims.loading import claim_presets, is_claim, load_claim
 from dslab.experiments.claims.report import write_claim_report
 from dslab.experiments.claims.runner import run_claim
+from dslab.experiments.eq1.spec import preset_names
 from dslab.experiments.jobs.pool import PoolSettings
 from dslab.scenarios.errors import InputError, MachineError
 
@@ -91,6 +92,10 @@ def test_the_commands_know_a_claim_by_its_kind_and_say_what_is_wrong_in_a_line(s
         return err
 
     assert "has no `export`" in fault("export", out)
+    assert "use conditioning (did you mean that?)" in fault(
+        "run", "conditionings", "--out", tmp_path / "other"
+    )
+    assert not {*claim_presets()} & {*preset_names()}
     spec_file.write_text(SPEC.format(worlds=3).replace("fake", "fakes", 1))
     assert "made-up.yaml:2: kind: unknown kind 'fakes'; use fake" in fault("show", spec_file)
     spec_file.write_text(SPEC.format(worlds=3).replace("kind: room", "kind: rom"))
