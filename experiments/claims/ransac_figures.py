@@ -113,7 +113,7 @@ def _shown(
                 f"{few}:\ndeg": shown(first["direction_deg"], ends=False),
                 f"{many}:\ndeg": shown(last["direction_deg"], ends=False),
                 "ratio": shown(change["ratio"]),
-                "claims": shown(last["confidence"], ends=False),
+                f"{few}:\nclaims": shown(first["confidence"], ends=False),
                 f"off > {OFF_DEG[0]:g} deg\nwith the inliers\nof the truth": _percent(telling),
             }
         )

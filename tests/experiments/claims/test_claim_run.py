@@ -33,6 +33,7 @@ def test_conditions_share_their_worlds_and_only_stress_tells_them_apart(spec_fil
     assert spec.scenario("room", 2).world != clean.world
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_after_failures_and_reports_the_same_from_the_table_alone(
     spec_file, tmp_path, monkeypatch
 ):
@@ -66,6 +67,7 @@ def test_a_run_goes_on_after_failures_and_reports_the_same_from_the_table_alone(
         read_claim(published)
 
 
+@pytest.mark.slow
 def test_a_run_whose_units_all_fail_stops(spec_file, tmp_path, monkeypatch):
     monkeypatch.setenv(FAILS, "0,1,2")
     with pytest.raises(MachineError, match="the last 3 units ended in an error: RuntimeError: no length"):

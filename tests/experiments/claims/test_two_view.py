@@ -51,6 +51,7 @@ def test_the_bound_is_the_schur_complement_of_the_whole_information():
     assert np.allclose(direction, whole[3:5, 3:5], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_most_likely_pose_reaches_the_bound():
     rng, noise_px, errors = np.random.default_rng(1), 0.5, []
     exact, _ = rays_of(60, rng)
@@ -111,6 +112,7 @@ def test_the_depth_of_a_plane_is_exact_between_pixels_and_unknown_at_an_edge():
     assert np.isnan(two_view.depth_at(depth, np.array([[4.5, 2.0]]))).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["conditioning", "ransac-iterations"])
 def test_pairs_of_frames_know_their_truth_and_are_measured_alike_twice(name):
     assert name in claim_presets()
