@@ -233,7 +233,7 @@ def _by_magsac(spec: TwoViewSpec, pair: Pair, seed: int) -> Iterator[Row]:
 
     The last tells what of an error is the noise's, and what that of the search.
     """
-    found = essential_pose(pair.rays, spec.threshold_px / pair.focal_px, seed)
+    found = essential_pose(pair.rays, pair.focal_px, spec.threshold_px, seed)
     if found is None:
         yield {"inliers": None}
         return
@@ -281,13 +281,15 @@ def claimed_confidence(inlier_share: float, samples: int) -> float:
 
 
 def essential_pose(
-    rays: Rays, threshold: float, seed: int
+    rays: Rays, focal_px: float, threshold_px: float, seed: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Relative pose of two views from an essential matrix, at any parallax.
 
     Args:
         rays: matches.
-        threshold: Sampson error of an inlier, pixels over the focal length.
+        focal_px: focal length. OpenCV is given pixels: with rays and the unit matrix its MAGSAC++ is several
+            times as far off, as its scale of the noise is one of pixels.
+        threshold_px: Sampson error of an inlier.
         seed: of the sampling.
 
     Returns:
@@ -300,18 +302,18 @@ def essential_pose(
         return None
     params = cv2.UsacParams()
     params.confidence, params.maxIterations = _MAGSAC_CONFIDENCE, _MAGSAC_ITERATIONS
-    params.threshold = threshold
+    params.threshold = threshold_px
     params.isParallel = False
     params.randomGeneratorState = seed
     params.score = cv2.SCORE_METHOD_MAGSAC
     params.loMethod = cv2.LOCAL_OPTIM_SIGMA
     params.loIterations = 10
-    x1, x2 = rays.x1[:, :2].copy(), rays.x2[:, :2].copy()
-    K, undistorted = np.eye(3), np.zeros(5)
+    x1, x2 = focal_px * rays.x1[:, :2], focal_px * rays.x2[:, :2]
+    K, undistorted = np.diag([focal_px, focal_px, 1.0]), np.zeros(5)
     E, _ = cv2.findEssentialMat(x1, x2, K, K, undistorted, undistorted, params)
     if E is None or E.shape != (3, 3) or not np.isfinite(E).all():
         return None
-    inliers = InlierCount(rays.x1, rays.x2, threshold).masks(E[None])[0]
+    inliers = InlierCount(rays.x1, rays.x2, threshold_px / focal_px).masks(E[None])[0]
     return *_pose_of(E, rays, inliers), inliers
 
 
