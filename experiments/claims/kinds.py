@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dslab.experiments.claims import two_view, two_view_figures
@@ -23,6 +24,7 @@ class Kind:
         figures: of a spec and the table of all rows, JSON data: every number with interval and number of
             worlds; its ``answer``, a list of sentences, is printed.
         draw: the figure of a spec and its figures, of a width in inches.
+        record: runs a unit and writes a recording for ``dslab view``; None if there is nothing to see.
     """
 
     spec: type[Any]
@@ -30,6 +32,7 @@ class Kind:
     measure: Callable[[Any, Unit], list[Row]]
     figures: "Callable[[Any, pd.DataFrame], dict[str, Any]]"
     draw: "Callable[[Any, dict[str, Any], float], Figure]"
+    record: Callable[[Any, Unit, Path], None] | None = None
 
 
 KINDS: dict[str, Kind] = {

@@ -19,6 +19,7 @@ from dslab.experiments.cli.console import (
 )
 from dslab.experiments.cli.experiment_answer import print_report, print_systems, print_warnings
 from dslab.experiments.cli.experiment_claims import (
+    claim_replay,
     claim_report,
     claim_status,
     refuse_claim,
@@ -250,7 +251,10 @@ def replay_command(
     folder: FolderArgument,
     unit: Annotated[
         str | None,
-        typer.Argument(help="Id of the unit or a unique prefix, or CELL:INDEX; without it some are listed."),
+        typer.Argument(
+            help="Id of the unit or a unique prefix, or CELL:INDEX; of an experiment on a claim its number. "
+            "Without it some are listed."
+        ),
     ] = None,
     outcome: Annotated[
         str | None,
@@ -277,9 +281,13 @@ def replay_command(
     """
     from dslab.experiments.campaign.replay import replay
     from dslab.experiments.campaign.workers import UnitWorkers
+    from dslab.experiments.claims.loading import is_claim
     from dslab.experiments.jobs.pool import PoolSettings
 
-    refuse_claim(folder, "replay")
+    if is_claim(folder):
+        if not claim_replay(folder, unit, None if rerun is None else rerun.absolute()):
+            raise typer.Exit(1)
+        return
     if unit is not None and outcome is not None:
         raise InputError("--outcome", f"the unit {unit} is named already", "give one of them")
     unit = unit or unit_to_replay(folder, outcome)

@@ -133,6 +133,29 @@ def claim_report(folder: Path) -> None:
     say(f"figures in {folder / FIGURES_FILE}, plot in {folder / PLOT}.svg")
 
 
+def claim_replay(folder: Path, unit: str | None, recording: Path | None) -> bool:
+    """Measure a unit again, compare it with its rows, and record it; True unless it differs."""
+    from dslab.experiments.claims.replay import replay_claim
+
+    if unit is None:
+        raise InputError("UNIT", "is missing", "give its number, as `unit` in table.parquet and figures.json")
+    with progress_bars() as show:
+        show(f"unit {unit}", 0, 1)
+        found, differing, has_rows = replay_claim(folder, unit, recording)
+    told = ", ".join(f"{name} {value}" for name, value in found.items())
+    say(f"unit {unit}: {told}")
+    say(
+        f"differs in {', '.join(differing)}"
+        if differing
+        else "agrees with its rows"
+        if has_rows
+        else "no rows yet"
+    )
+    if recording is not None:
+        say(f"open it: dslab view {recording}")
+    return not differing
+
+
 def print_answer(answer: Sequence[Any]) -> None:
     """Print sentences, and tables of rows."""
     for part in answer:
