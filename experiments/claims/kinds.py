@@ -6,6 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dslab.experiments.claims import two_view, two_view_figures
+from dslab.experiments.claims.onset import drawing as onset_drawing
+from dslab.experiments.claims.onset import figures as onset_figures
+from dslab.experiments.claims.onset import unit as onset
 from dslab.experiments.claims.spec import Row, Unit
 
 if TYPE_CHECKING:
@@ -42,5 +45,13 @@ KINDS: dict[str, Kind] = {
         two_view.measure,
         two_view_figures.figures,
         two_view_figures.draw,
+    ),
+    "onset": Kind(
+        onset.OnsetSpec,
+        onset.units,
+        onset.measure,
+        onset_figures.figures,
+        onset_drawing.draw,
+        onset.record_unit,
     ),
 }
