@@ -10,6 +10,11 @@ from dslab.experiments.claims.onset import drawing as onset_drawing
 from dslab.experiments.claims.onset import figures as onset_figures
 from dslab.experiments.claims.onset import unit as onset
 from dslab.experiments.claims.spec import Row, Unit
+from dslab.experiments.claims.variants.draw import draw as draw_variants
+from dslab.experiments.claims.variants.figures import figures as variants_figures
+from dslab.experiments.claims.variants.measure import measure as measure_variants
+from dslab.experiments.claims.variants.measure import units as variants_units
+from dslab.experiments.claims.variants.spec import VariantsSpec
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -54,4 +59,5 @@ KINDS: dict[str, Kind] = {
         onset_drawing.draw,
         onset.record_unit,
     ),
+    "variants": Kind(VariantsSpec, variants_units, measure_variants, variants_figures, draw_variants),
 }

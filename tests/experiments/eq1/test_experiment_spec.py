@@ -311,7 +311,7 @@ def test_presets_are_valid_and_described(name):
 
 
 def test_the_presets_are_all_there():
-    wanted = {"smoke", "eq1", "eq1-full", "direction", "init", "loss-rule", "tables"}
+    wanted = {"smoke", "eq1", "eq1-full", "direction", "loss-rule", "tables"}
     assert wanted <= set(preset_names())
 
 

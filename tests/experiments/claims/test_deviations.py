@@ -1,0 +1,81 @@
+"""The table of deviations says what docs/dual-slam.md says, and every one of them changes what it names."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+from dslab.experiments.claims.variants.deviations import (
+    DEVIATIONS,
+    NOT_ALONE,
+    PUBLISHED,
+    deviation_variants,
+    made,
+    nested,
+)
+from dslab.experiments.runs.slam_settings import parse_slam_settings
+from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.dual.recovery.registry import build_thread
+
+PAGE = (Path(__file__).parents[3] / "docs" / "dual-slam.md").read_text()
+CAMERA = PinholeCamera(320, 240, 250.0, 250.0, 159.5, 119.5, 20.0)
+PARAGRAPH = re.compile(r"^\*\*(?P<heading>[^*\n]+)\.\*\*(?P<text>.*?)(?=^\*\*|^## |\Z)", re.M | re.S)
+
+
+def settings_of_page():
+    """Per heading the text of its settings, of those with any."""
+    found = {}
+    for paragraph in PARAGRAPH.finditer(PAGE):
+        _, _, settings = paragraph["text"].partition("*Setting:*")
+        if settings.strip() and not re.match(r"\s*none\b", settings):
+            found[paragraph["heading"]] = settings
+    return found
+
+
+def settings_of(system, written):
+    """All settings of a system; a thread of its kind's own settings is the same as one with them written."""
+    config, dual = parse_slam_settings(written, (), str).of(system, CAMERA)
+    return (
+        config,
+        [build_thread(spec).config for spec in dual.recovery_threads],
+        replace(dual, recovery_threads=()),
+    )
+
+
+def test_every_setting_of_the_page_is_undone_alone_or_says_why_not():
+    page, table = settings_of_page(), {d.heading for d in DEVIATIONS} - {PUBLISHED}
+    assert len(page) > 30 and table | set(NOT_ALONE) == set(page)
+    assert not table & set(NOT_ALONE)
+    for deviation in DEVIATIONS:
+        if deviation.heading == PUBLISHED:
+            continue
+        for name in deviation.undone:
+            assert name in page[deviation.heading].replace("`dual.place_merging.", "`dual.place_merging`"), (
+                name
+            )
+
+
+def test_undone_ones_are_other_systems_and_made_again_they_are_ours():
+    assert [v["name"] for v in deviation_variants("undone")] == [
+        "base",
+        "dual",
+        *(d.name for d in DEVIATIONS),
+    ]
+    for deviation in DEVIATIONS:
+        system = "dual" if deviation.recovers else "base"
+        assert settings_of(system, nested(made(deviation), "undone")) == settings_of(system, {}), (
+            deviation.name
+        )
+
+
+def test_those_that_the_published_profile_has_too_are_not_made_on_it():
+    names = {variant["name"] for variant in deviation_variants("made")}
+    assert "none-passed-over" in names and "young-maps" not in names  # a young map is dropped in both
+
+
+def test_a_deviation_that_needs_another_is_compared_with_that():
+    fields = {variant["name"]: variant for variant in deviation_variants("made")}
+    assert fields["no-evidence"]["against"] == "none-passed-over"
+    threads = fields["no-evidence"]["settings"]["dual"]["recovery_threads"]
+    assert threads == [
+        {"kind": f"paper_{kind}", "config": {"max_unusable_s": 2.0}} for kind in ("orb", "sift")
+    ]
