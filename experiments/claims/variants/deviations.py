@@ -29,18 +29,19 @@ class Deviation:
     """One deviation.
 
     Attributes:
-        name: of its variant.
+        name: of what we do otherwise; its variant is ``without-NAME`` off our systems, ``with-NAME`` on the
+            published.
         heading: of its paragraph in docs/dual-slam.md.
         undone: the settings that undo it.
         recovers: it is one of the recovery, not of the base.
-        beside: name of another one without which it does nothing on the published profile.
+        needs: names of others without which it does nothing: it is not made alone on the published profile.
     """
 
     name: str
     heading: str
     undone: Mapping[str, Any]
     recovers: bool = True
-    beside: str = ""
+    needs: tuple[str, ...] = ()
 
 
 PUBLISHED = "Near the paper's text"
@@ -49,67 +50,65 @@ DEVIATIONS = (
     *(
         Deviation(name, heading, undone, recovers=False)
         for name, heading, undone in (
-            ("no-doubt", "What breaks", {"tracking.doubt.min_share": 0.0, "tracking.doubt.nearer": 0.0}),
-            ("whole-pixels", "Between the pixels", {"orb.subpixel": False, "orb.noise_px": 1.0}),
-            ("no-faint-corners", "Faint ones", {"orb.faint_share": 0.0}),
-            ("no-smear", "Smeared frames", {"tracking.max_noise": 1.0}),
-            ("two-fold-features", "Five-fold features", {"initial_features": 2.0}),
-            ("finest-level", "Three pyramid levels", {"initialization.max_octave": 0}),
-            ("no-lead", "When two views suffice", {"initialization.two_view.min_lead_sigmas": 0.0}),
+            ("doubt", "What breaks", {"tracking.doubt.min_share": 0.0, "tracking.doubt.nearer": 0.0}),
+            ("subpixel", "Between the pixels", {"orb.subpixel": False, "orb.noise_px": 1.0}),
+            ("faint-corners", "Faint ones", {"orb.faint_share": 0.0}),
+            ("smear", "Smeared frames", {"tracking.max_noise": 1.0}),
+            ("five-fold", "Five-fold features", {"initial_features": 2.0}),
+            ("three-levels", "Three pyramid levels", {"initialization.max_octave": 0}),
+            ("lead", "When two views suffice", {"initialization.two_view.min_lead_sigmas": 0.0}),
             (
-                "no-second-motion",
+                "second-motion",
                 "The second motion of a plane",
                 {"initialization.second_motion.max_views": 0},
             ),
-            ("five-steps", "Local bundle adjustment", {"mapping.robust_iterations": 5}),
-            ("none-between", "Frames before the map", {"initialization.max_between": 0}),
+            ("long-adjustment", "Local bundle adjustment", {"mapping.robust_iterations": 5}),
+            ("between", "Frames before the map", {"initialization.max_between": 0}),
             (
-                "no-urgent-keyframes",
+                "keyframes",
                 PUBLISHED,
                 {"tracking.urgent_share": 0.9, "tracking.urgent_inliers": 0, "tracking.keyframe_cover": 0.0},
             ),
-            ("measured-parallax", PUBLISHED, {"mapping.min_parallax_deg": 1.15, "mapping.depth_around": 0}),
-            ("no-self-calibration", PUBLISHED, {"self_calibration.at_keyframes": []}),
+            ("depth-around", PUBLISHED, {"mapping.min_parallax_deg": 1.15, "mapping.depth_around": 0}),
+            ("self-calibration", PUBLISHED, {"self_calibration.at_keyframes": []}),
         )
     ),
-    Deviation("young-maps", "Young maps are dropped", {"min_map_keyframes": 0}),
-    Deviation("no-relocalization", "Relocalization into saved maps", {"dual.relocalization": False}),
-    Deviation("two-keyframes", "Five keyframes", {"dual.start_keyframes": 2}),
+    Deviation("dropping", "Young maps are dropped", {"min_map_keyframes": 0}),
+    Deviation("relocalization", "Relocalization into saved maps", {"dual.relocalization": False}),
+    Deviation("five-keyframes", "Five keyframes", {"dual.start_keyframes": 2}),
     Deviation(
-        "smeared-start",
+        "sharp-start",
         "Not from smeared frames",
         {"dual.max_start_noise": NEVER},
-        beside="no-smear",
+        needs=("smear",),
     ),
-    Deviation("in-turn", "Recoveries side by side", {"dual.workers": 1}),
-    Deviation("none-passed-over", "Two seconds passed over", {"THREAD.max_unusable_s": 0.0}),
-    Deviation("any-share", "60 % share", {"ORB.min_share": 0.0}),
+    Deviation("side-by-side", "Recoveries side by side", {"dual.workers": 1}),
+    Deviation("passing-over", "Two seconds passed over", {"THREAD.max_unusable_s": 0.0}),
+    Deviation("share", "60 % share", {"ORB.min_share": 0.0}),
+    Deviation("caution", "Caution after a gap", {"tracking.cautious_inliers": 0}, needs=("passing-over",)),
     Deviation(
-        "no-caution", "Caution after a gap", {"tracking.cautious_inliers": 0}, beside="none-passed-over"
-    ),
-    Deviation(
-        "no-evidence",
+        "evidence",
         "Evidence behind a gap",
         {"tracking.crossing.min_expected": NEVER},
-        beside="none-passed-over",
+        needs=("passing-over",),
     ),
-    Deviation("may-shrink", "A map that shrinks", {"THREAD.doubt.slower": 0.0, "THREAD.doubt.nearer": 0.0}),
-    Deviation("neighbour-only", "Not only the neighbouring frame", {"SIFT.keyframe_too": False}),
-    Deviation("orb-adjusted", "SIFT in the bundle adjustment", {"SIFT.adjusted_keyframes": 2}),
-    Deviation("none-ahead", "Depth from the keyframes ahead", {"SIFT.ahead": 0}),
-    Deviation("usual-contrast", "Weak texture", {"SIFT.contrast": 0.04}),
-    Deviation("one-alignment", "Two agreeing alignments", {"THREAD.fusion.confirmations": 1}),
-    Deviation("at-once", "Keyframe by keyframe", {"THREAD.at_once": True}),
+    Deviation("shrink-doubt", "A map that shrinks", {"THREAD.doubt.slower": 0.0, "THREAD.doubt.nearer": 0.0}),
+    Deviation("keyframe-too", "Not only the neighbouring frame", {"SIFT.keyframe_too": False}),
+    Deviation("sift-adjusted", "SIFT in the bundle adjustment", {"SIFT.adjusted_keyframes": 2}),
+    Deviation("ahead", "Depth from the keyframes ahead", {"SIFT.ahead": 0}),
+    Deviation("weak-texture", "Weak texture", {"SIFT.contrast": 0.04}),
+    Deviation("two-alignments", "Two agreeing alignments", {"THREAD.fusion.confirmations": 1}),
+    Deviation("one-by-one", "Keyframe by keyframe", {"THREAD.at_once": True}),
     Deviation(
-        "whole-buffer", "The end at the second agreement", {"THREAD.whole_buffer": True}, beside="at-once"
+        "early-end", "The end at the second agreement", {"THREAD.whole_buffer": True}, needs=("one-by-one",)
     ),
-    Deviation("no-joining", "Joining by place", {"dual.place_merging": None}),
+    Deviation("joining", "Joining by place", {"dual.place_merging": None}),
 )
 """Those that can be undone alone, each by settings."""
 
 NOT_ALONE = {
     "A cap": "no sequence here is longer than the cap",
-    "Search at the end of a gap": "without frames passed over there is no gap: see none-passed-over",
+    "Search at the end of a gap": "without frames passed over there is no gap: see passing-over",
     "Failure of a thread": "exhaustive makes every thread run, and leaves what its failure is",
     "GMS plus windowed search": "the preset init: dual+ against paper+",
     "Kinds beyond two": "the threads are those of Algorithm 1",
@@ -131,23 +130,18 @@ def deviation_variants(side: Side) -> list[dict[str, Any]]:
             ``paper``.
 
     Returns:
-        Fields of variants: name, system, settings, and the name of the reference; of those whose settings
-        differ from the reference's.
+        Fields of variants: name, system, settings, and the name of the reference; of those that are
+        other systems than it.
     """
     systems = ("base", "dual") if side == "undone" else ("orbslam", "paper")
     found: list[dict[str, Any]] = [{"name": system, "system": system} for system in systems]
-    named = {deviation.name: deviation for deviation in DEVIATIONS}
     for deviation in DEVIATIONS:
-        system = reference = systems[deviation.recovers]
-        settings, beside = dict(deviation.undone), dict[str, Any]()
-        if side == "made":
-            settings = made(deviation)
-            if deviation.beside:
-                reference, beside = deviation.beside, made(named[deviation.beside])
-        written = nested(beside | settings, side)
-        if _settings(system, written) != _settings(system, nested(beside, side)):
-            about = {"name": deviation.name, "system": system, "against": reference}
-            found.append(about | {"settings": written})
+        system = systems[deviation.recovers]
+        own = deviation.undone if side == "undone" else made(deviation)
+        alone = side == "undone" or not deviation.needs
+        if alone and _settings(system, settings := nested(own, side)) != _settings(system, {}):
+            name = f"{'without' if side == 'undone' else 'with'}-{deviation.name}"
+            found.append({"name": name, "system": system, "against": system, "settings": settings})
     return found
 
 
