@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 
 from dslab.experiments.claims.variants.figures import MIDDLE, POOLED
 from dslab.experiments.claims.variants.quantities import QUANTITIES
@@ -97,15 +98,18 @@ def _lines(spec: VariantsSpec, figures: Data, width_in: float) -> Figure:
         for place, (system, condition) in enumerate(lines):
             keys = {"measure": measure, "system": system, "condition": condition}
             points = [row for row in figures["estimates"] if all(row[key] == keys[key] for key in keys)]
-            points = sorted((row for row in points if row["low"] is not None), key=lambda row: row["at"])
+            points.sort(key=lambda row: row["at"])
             at = np.array([row["at"] for row in points]) * 1.03 ** (place - (len(lines) - 1) / 2)
-            value, low, high = (np.array([row[end] for row in points]) for end in ("value", "low", "high"))
+            value, low, high = (
+                np.array([row[end] for row in points], float) for end in ("value", "low", "high")
+            )  # without an end NaN, and no bar
             colour = _COLOURS[systems.index(system) % len(_COLOURS)]
             form = {"color": colour, "linestyle": styles[condition], "linewidth": 1.2, "elinewidth": 0.8}
             own.errorbar(at, value, yerr=[value - low, high - value], fmt="o", markersize=3.5, **form)
         own.set_xscale("log")
         ticks = sorted({variant.at for variant in spec.variants if variant.at is not None})
         own.set_xticks(ticks)
+        own.xaxis.set_minor_locator(NullLocator())
         plain_ticks(own.xaxis)
         own.set_xlabel(label(spec.axis), fontsize=8)
         own.set_title(wrapped(QUANTITIES[measure].label, width_in / 3), fontsize=8)

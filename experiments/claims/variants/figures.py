@@ -173,24 +173,29 @@ def _answer(spec: VariantsSpec, found: Data) -> list[Any]:
         sure = sum(row["p"] <= LEVEL for row in own)
         if own:
             parts.append(f"{QUANTITIES[measure].label}: {sure} of {len(own)} differences are told from 0")
-    told = [row for row in tested if row["p"] <= LEVEL]
-    if spec.plot == "forest":
-        parts += (
-            [[_row_of(row, variant=row["variant"], against=row["against"]) for row in told]] if told else []
-        )
-        if tested and found["no_gain"]:
-            parts.append(f"told from their reference by nothing: {', '.join(found['no_gain'])}")
-        return parts
-    estimates = [row for row in found["estimates"] if row["measure"] in spec.measures]
-    return [*parts, [_row_of(row, variant=row["variant"]) for row in estimates]]
+    if told := [_difference_row(row) for row in tested if row["p"] <= LEVEL]:
+        parts.append(told)
+    if tested and found["no_gain"]:
+        parts.append(f"told from their reference by nothing: {', '.join(found['no_gain'])}")
+    return parts if spec.plot == "forest" else [*parts, _estimate_rows(spec, found)]
 
 
-def _row_of(row: Data, **about: str) -> dict[str, str]:
-    """An estimate or a difference as a row of a printed table."""
-    ends = "" if row["low"] is None else f" [{row['low']:.3g}, {row['high']:.3g}]"
-    found = {**about, "condition": row["condition"] or "all", "measure": QUANTITIES[row["measure"]].label}
-    p = {"p": f"{row['p']:.2g}"} if row.get("p") is not None else {}
-    return found | {"value": f"{row['value']:.3g}{ends}", "worlds": str(row["worlds"]), **p}
+def _difference_row(row: Data) -> dict[str, str]:
+    """A difference as a row of a printed table."""
+    ends = "" if row["low"] is None else f" [{row['low']:.2g}, {row['high']:.2g}]"
+    found = {name: row[name] for name in ("variant", "against", "measure")}
+    found |= {"condition": row["condition"] or "all", "difference": f"{row['value']:+.2g}{ends}"}
+    return found | {"worlds": str(row["worlds"]), "p": f"{row['p']:.2g}"}
+
+
+def _estimate_rows(spec: VariantsSpec, found: Data) -> list[dict[str, str]]:
+    """A row per variant and condition with its measures; intervals are in the figures."""
+    rows: dict[tuple[str, str], dict[str, str]] = {}
+    for row in found["estimates"]:
+        at = rows.setdefault((row["variant"], row["condition"]), dict.fromkeys(spec.measures, ""))
+        if row["measure"] in at:
+            at[row["measure"]] = f"{row['value']:.3g}"
+    return [{"variant": name, "condition": condition, **of} for (name, condition), of in rows.items()]
 
 
 def _middle_sentence(part: Data) -> str:

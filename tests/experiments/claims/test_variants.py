@@ -135,9 +135,7 @@ def test_differences_are_paired_by_world_and_told_by_holm(tmp_path):
     assert found["no_gain"] == ["alike"] and found["unexposed"] == 6
     *sentences, told, _ = found["answer"]
     assert "share of the path in the largest map: 3 of 6 differences are told from 0" in sentences
-    assert {(row["variant"], row["measure"]) for row in told} == {
-        ("less", "share of the path in the largest map")
-    }
+    assert {(row["variant"], row["measure"]) for row in told} == {("less", "path_share")}
     axes = VARIANTS.draw(spec, found, 7.6).axes
     rows = [text.get_text() for text in axes[0].get_yticklabels()]
     assert len(axes) == 4 and rows == ["less", "alike"]  # of which the upper one is told, in black
