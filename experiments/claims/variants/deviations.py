@@ -18,7 +18,7 @@ from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.recovery.registry import build_thread
 
 Side = Literal["undone", "made"]
-NEVER = 1e6
+NEVER, ALL = 1e6, 1_000_000
 """Of a bound that nothing reaches."""
 ANY_CAMERA = PinholeCamera(320, 240, 250.0, 250.0, 159.5, 119.5, 20.0)
 """A camera of small images: settings differ for large ones, but not by these."""
@@ -64,11 +64,21 @@ DEVIATIONS = (
             ),
             ("long-adjustment", "Local bundle adjustment", {"mapping.robust_iterations": 5}),
             ("between", "Frames before the map", {"initialization.max_between": 0}),
+            ("search", PUBLISHED, {"tracking.search": "published"}),
+            ("gate", PUBLISHED, {"tracking.gate": "published"}),
+            ("loss", PUBLISHED, {"tracking.loss": "published"}),
+            ("keyframes", PUBLISHED, {"tracking.keyframe": "published"}),
+            ("geometry", PUBLISHED, {"initialization.geometry": "published"}),
+            ("few-neighbours", PUBLISHED, {"mapping.neighbours": 20, "mapping.descriptor_ratio": 1.0}),
+            ("window", PUBLISHED, {"mapping.window": ALL, "mapping.fixed": ALL}),
+            ("place-evidence", PUBLISHED, {"place": None}),
             (
-                "keyframes",
+                "candidates",
                 PUBLISHED,
-                {"tracking.urgent_share": 0.9, "tracking.urgent_inliers": 0, "tracking.keyframe_cover": 0.0},
+                {"relocalization.candidates": ALL, "relocalization.last_keyframe": False},
             ),
+            ("margin", PUBLISHED, {"relocalization.min_margin": 0.0}),
+            ("probation", PUBLISHED, {"probation": None}),
             ("depth-around", PUBLISHED, {"mapping.min_parallax_deg": 1.15, "mapping.depth_around": 0}),
             ("self-calibration", PUBLISHED, {"self_calibration.at_keyframes": []}),
         )
@@ -120,6 +130,12 @@ NOT_ALONE = {
     "Keyframes of the same time": "the paper names no time",
 }
 """Headings with a setting, and why no variant undoes them alone."""
+
+NOT_TRIED = {
+    "loops": "no sequence here comes back to a place",
+    "tracking.doubt.slower": "without tracking.doubt.nearer it does nothing",
+}
+"""Settings, or groups of them, in which the published profile differs, and why no variant has them."""
 
 
 def deviation_variants(side: Side) -> list[dict[str, Any]]:
