@@ -44,7 +44,7 @@ class Deviation:
     needs: tuple[str, ...] = ()
 
 
-PUBLISHED = "Near the paper's text"
+PUBLISHED = "By the paper's text"
 """Heading of what the published profile undoes and no paragraph of its own justifies."""
 DEVIATIONS = (
     *(

@@ -40,13 +40,14 @@ def figures(spec: VariantsSpec, table: pd.DataFrame) -> Data:
         variant with its reference, measure and condition, and pooled (condition ``""``): the mean difference
         of the same world, its interval, ``p`` by Holm over all contrasts of the measure (pooled ones, and
         those in single conditions, each for themselves), the worlds that have both, and those that have one.
-        ``no_gain``: variants that differ from their reference in no measure. ``middle``: for a histogram.
-        ``values``: of each world, for a histogram and for dots.
+        ``no_gain``: variants that were tested and differ from their reference in no measure. ``middle``: for
+        a histogram. ``values``: of each world, for a histogram and for dots.
     """
     used = table[table.exposed.isna() | table.exposed.eq(True)]
     by_world = _by_world(spec, used)
     contrasts = _contrasts(spec, by_world)
-    told = {row["variant"] for row in contrasts if row["p"] is not None and row["p"] <= LEVEL}
+    tested = [row for row in contrasts if row["p"] is not None]
+    told = {row["variant"] for row in tested if row["p"] <= LEVEL}
     found: Data = {
         "name": spec.name,
         "claim": spec.claim,
@@ -58,7 +59,7 @@ def figures(spec: VariantsSpec, table: pd.DataFrame) -> Data:
         "conditions": list(spec.cells),
         "estimates": list(_estimates(spec, by_world)),
         "contrasts": contrasts,
-        "no_gain": [variant for variant, _ in spec.contrasts if variant not in told],
+        "no_gain": list(dict.fromkeys(row["variant"] for row in tested if row["variant"] not in told)),
     }
     if spec.plot in ("histogram", "dots"):
         found["values"] = list(_values(spec, used))
@@ -175,7 +176,7 @@ def _answer(spec: VariantsSpec, found: Data) -> list[Any]:
             parts.append(f"{QUANTITIES[measure].label}: {sure} of {len(own)} differences are told from 0")
     if told := [_difference_row(row) for row in tested if row["p"] <= LEVEL]:
         parts.append(told)
-    if tested and found["no_gain"]:
+    if found["no_gain"]:
         parts.append(f"told from their reference by nothing: {', '.join(found['no_gain'])}")
     return parts if spec.plot == "forest" else [*parts, _estimate_rows(spec, found)]
 
