@@ -93,7 +93,7 @@ def read_claim(folder: Path) -> Claimed:
         if key not in ended:
             continue
         of = ended[key]
-        own = {name: value for name, value in json.loads(key).items() if not isinstance(value, dict | list)}
+        own = _told_of(json.loads(key))
         about = {"code": of["code"], "commit": of["commit"]}
         rows += [{"unit": place, **own, **row, **about} for row in of["rows"]]
     return Claimed(
@@ -105,6 +105,31 @@ def read_claim(folder: Path) -> Claimed:
         wall_s=sum(row["wall_s"] for row in stored),
         codes=_codes(stored),
     )
+
+
+def ended_units(folder: Path) -> list[Row]:
+    """The units that have ended, each as a row of a ledger; of an exported table without their times.
+
+    Raises:
+        InputError: it is not a folder of an experiment, or its rows are damaged.
+    """
+    spec = load_claim(folder)
+    if is_given(folder / LEDGER_FILE) or not is_given(folder / TABLE_FILE):
+        with Ledger.open(folder, owner_of(spec), read_only=True) as ledger:
+            return ledger.rows()
+    units, found = KINDS[spec.kind].units(spec), {}
+    for row in _exported(folder):
+        unit = units[row["unit"]]
+        own = {"unit", "code", "commit", *_told_of(unit)}
+        of = {"unit": unit_key(unit), "rows": [], "wall_s": 0.0, "code": row["code"], "commit": row["commit"]}
+        told = {name: value for name, value in row.items() if name not in own}
+        found.setdefault(row["unit"], of)["rows"].append(told)
+    return list(found.values())
+
+
+def _told_of(unit: Unit) -> Unit:
+    """What of a unit is in its rows."""
+    return {name: value for name, value in unit.items() if not isinstance(value, dict | list)}
 
 
 def arrow_table(rows: list[Row]) -> "pa.Table":

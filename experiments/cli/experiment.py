@@ -81,10 +81,13 @@ def merge_command(
     `dslab experiment merge docs/eq1 --out out/eq1`
     """
     from dslab.experiments.campaign.merge import merge
+    from dslab.experiments.claims.loading import is_claim
+    from dslab.experiments.claims.merge import merge_claims
 
-    for folder in sources:
-        refuse_claim(folder, "merge")
-    done = merge(out_dir, sources)
+    claims = {is_claim(source) for source in sources}
+    if len(claims) > 1:
+        raise InputError(str(sources[0]), "is of another kind than the others", "merge folders of one spec")
+    done = merge_claims(out_dir, sources) if claims == {True} else merge(out_dir, sources)
     known = f", {done.known} were known with the same outcome" if done.known else ""
     say(f"{done.added} units added{known}: {done.done} of {done.total} in {out_dir}")
 

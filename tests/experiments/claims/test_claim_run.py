@@ -10,6 +10,7 @@ from claim_fakes import FAILS, KIND, SPEC
 from dslab.experiments.claims.folder import read_claim
 from dslab.experiments.claims.kinds import KINDS
 from dslab.experiments.claims.loading import claim_presets, is_claim, load_claim
+from dslab.experiments.claims.merge import merge_claims
 from dslab.experiments.claims.report import write_claim_report
 from dslab.experiments.claims.runner import run_claim
 from dslab.experiments.eq1.spec import preset_names
@@ -60,6 +61,15 @@ def test_a_run_goes_on_after_failures_and_reports_the_same_from_the_table_alone(
     assert json.loads((published / "figures.json").read_text()) == figures
     for name in ("table.parquet", "figure.svg", "figure.png"):
         assert (tmp_path / "out" / name).is_file()
+
+    again = tmp_path / "again"
+    assert (
+        merge_claims(again, [published]).added == 6
+        and run_claim(spec, again, PoolSettings(1)).ended_here == 0
+    )
+    assert merge_claims(again, [tmp_path / "whole"]).known == 6
+    write_claim_report(again)
+    assert (again / "table.parquet").read_bytes() == (published / "table.parquet").read_bytes()
 
     damaged = pq.read_table(published / "table.parquet")
     pq.write_table(damaged.slice(1), published / "table.parquet")
