@@ -84,6 +84,7 @@ PUBLISHED: dict[str, Published] = {
     "relocalization.min_pose_inliers": Published(10, "release"),
     "relocalization.radii_px": Published((10.0, 3.0), "release"),
     "relocalization.min_inliers": Published(50, "release"),
+    "relocalization.local_map_keyframes": Published(1, "V-C: the points of the candidate keyframe"),
     "relocalization.min_margin": Published(0.0, "V-C: none"),
     "rescue.max_s": Published(0.0, "V: none"),
     "self_calibration.at_keyframes": Published((), "a calibrated camera"),
@@ -124,7 +125,6 @@ NO_EFFECT: dict[str, str] = {
 STAYS: dict[str, str] = {
     "mapping.min_depth": "a new point is no nearer than .1 median depths; VI-C: in front of both cameras",
     "relocalization.ransac_error_px": "5 px, as the pose is refined next; V-C gives no number",
-    "relocalization.local_map_keyframes": "20 keyframes are searched; V-C: the candidate's points",
 }
 """Settings that are read and were not published, and what stays different by them."""
 
