@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from dslab.experiments.eq1.spec import ExperimentSpec
 
 FORMAT = 2
-PAPER_THREAD = "paper_orb"
+PAPER_THREAD, PAPER_THREADS = "paper_orb", ("paper_orb", "paper_sift")
 """Kind of the thread nearest to Algorithm 1's thread 1; on our corners and start."""
 
 
@@ -49,7 +49,7 @@ def report_content(
     table = outcomes.rows_where(whole, whole["cell"].isin(list(systems)))
     threads = len(spec.threads)
     kinds = [thread.kind for thread in spec.threads]
-    letter = kinds.index(PAPER_THREAD) + 1 if PAPER_THREAD in kinds else None
+    letter = tuple(kinds.index(kind) + 1 for kind in PAPER_THREADS if kind in kinds)
     analysis = as_data(
         analyse(
             table,

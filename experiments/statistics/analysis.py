@@ -63,7 +63,7 @@ class Analysis:
         rescuable, delays: parts of the breakages.
         over_rescuable: per n and cell, Eq. 1 over rescuable units alone.
         doses: shares against dose.
-        directions: pr = p0, for thread `paper`.
+        directions: pr against p0, for the threads of Algorithm 1.
         conditioning: pose error against baseline, for each quantity that was measured.
     """
 
@@ -99,7 +99,7 @@ def analyse(
     table: pd.DataFrame,
     threads: int,
     confirmatory: Sequence[str] = (),
-    paper_thread: int | None = None,
+    paper_threads: Sequence[int] = (),
     seed: int = 0,
     permutations: int | None = None,
     confirmatory_threads: int | None = None,
@@ -110,7 +110,7 @@ def analyse(
         table: records, with the columns of ``records.columns``; no cell need be homogeneous.
         threads: number of recovery threads.
         confirmatory: cells named before the run.
-        paper_thread: number of the thread nearest to Algorithm 1's thread 1, if there is one.
+        paper_threads: numbers of the threads of Algorithm 1, the first of each kind, if there are any.
         seed: of the permutations.
         permutations: their number; None for as many as the number of tests takes.
         confirmatory_threads: the first 1 to this many threads are tested there; None for all.
@@ -159,6 +159,6 @@ def analyse(
         over_rescuable=tuple(found for n in numbers for found in rescuable_readings(both_arms, n)),
         delays=delay_parts(free),
         doses=dose_points(cells, shams, threads),
-        directions=directions(free, paper_thread) if paper_thread else (),
+        directions=directions(free, paper_threads),
         conditioning=tuple(filter(None, (baseline_errors(lead_ins(table), q) for q in QUANTITIES))),
     )

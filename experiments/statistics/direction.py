@@ -1,4 +1,4 @@
-"""Is pr = p0 for the same pose estimator: the base forward against thread `paper` backward, by worlds."""
+"""Is pr = p0, or less: the base forward against the threads of Algorithm 1 backward, by worlds."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,13 +18,15 @@ class Direction:
     """B against P, a failure of the thread in propagation, in one kind of degradation and of world.
 
     Attributes:
+        thread: its number.
         kind, world: which ones.
         worlds: their number.
         difference: mean over worlds of B - P.
-        p: two-sided, that it is 0, by Holm over all kinds and kinds of world.
+        p: two-sided, that it is 0, by Holm over all kinds, kinds of world and threads.
         apart: units in which the thread failed later, in fusion or by the audit.
     """
 
+    thread: int
     kind: str
     world: str
     worlds: int
@@ -33,8 +35,17 @@ class Direction:
     apart: int
 
 
-def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction, ...]:
+def directions(cells: Sequence[HomogeneousCell], threads: Sequence[int]) -> tuple[Direction, ...]:
     """Compare p0 and pr over the doses of each kind; a unit without a new map to go back from is left out."""
+    found = [each for thread in threads for each in _of_thread(cells, thread)]
+    corrected = holm([figure.p for *_, figure, _ in found])
+    return tuple(
+        Direction(*of, figure.worlds, difference_interval(figure), float(p), apart)
+        for (*of, figure, apart), p in zip(found, corrected, strict=True)
+    )
+
+
+def _of_thread(cells: Sequence[HomogeneousCell], thread: int) -> list[tuple[int, str, str, Figure, int]]:
     failed, stage = (thread_column("cross", thread, name) for name in ("failed", "stage"))
     found = []
     for kind, world in dict.fromkeys((c.kind, c.world) for c in cells if c.says(failed)):
@@ -48,9 +59,5 @@ def directions(cells: Sequence[HomogeneousCell], thread: int) -> tuple[Direction
             apart += int((cell.counted & np.isin(stages, ("overlap", "sim3", "fusion", "audit"))).sum())
         means = by_world(own, differences)
         if len(means) > 2:
-            found.append((kind, world, Figure.mean(means), apart))
-    corrected = holm([figure.p for *_, figure, _ in found])
-    return tuple(
-        Direction(kind, world, figure.worlds, difference_interval(figure), float(p), apart)
-        for (kind, world, figure, apart), p in zip(found, corrected, strict=True)
-    )
+            found.append((thread, kind, world, Figure.mean(means), apart))
+    return found

@@ -139,7 +139,7 @@ def test_what_the_design_does_not_allow_is_said_in_a_line(made):
     for line in (
         "no sequence was repeated",
         "do not say M",
-        "no thread is the paper's",
+        "no thread is of Algorithm 1",
         "rate of false alarms",
     ):
         assert line in made.page.text

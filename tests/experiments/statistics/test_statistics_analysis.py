@@ -153,7 +153,7 @@ def made_up(worlds=12, sequences=1, repeats=3, seed=0, sham=False, **columns):
 
 @pytest.mark.parametrize(("worlds", "repeats"), [(1, 1), (1, 2), (2, 2), (3, 1), (4, 3)])
 def test_no_design_is_too_small_and_few_worlds_are_untested(worlds, repeats):
-    found = analyse(made_up(worlds, 1, repeats), 1, ("blur/1",), paper_thread=1, permutations=99)
+    found = analyse(made_up(worlds, 1, repeats), 1, ("blur/1",), paper_threads=(1,), permutations=99)
     (cell,) = found.cells
     assert cell.worlds == worlds and cell.confirmatory
     assert cell.verdict_in_units == cell.verdict_forecast == "untested"
@@ -271,7 +271,7 @@ def test_p0_and_pr_are_compared_by_worlds():
 
     def direction(failed, stage):
         table = rows.assign(cross_r1_failed=failed, cross_r1_stage=stage)
-        (found,) = analyse(table, 1, paper_thread=1, permutations=99).directions
+        (found,) = analyse(table, 1, paper_threads=(1,), permutations=99).directions
         return found
 
     alike = direction(rows["breakage"], np.where(rows["breakage"], "propagation", None))
@@ -279,3 +279,6 @@ def test_p0_and_pr_are_compared_by_worlds():
     later = direction(True, "audit")
     assert later.difference.value == pytest.approx(rows["breakage"].mean()) and later.p < 1e-3
     assert later.apart == len(rows)
+    never = rows.assign(cross_r2_failed=False, cross_r2_stage=None)
+    first, second = analyse(never, 1, paper_threads=(1, 2), permutations=99).directions
+    assert (first.thread, second.thread) == (1, 2) and second.difference.low > 0, "the second fails less"
