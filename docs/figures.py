@@ -38,6 +38,37 @@ def eq1_rescuable() -> str:
     return table(("two threads, rescuable trials", "trials", "Eq. 1", "failed, D", "D / Eq. 1"), rows)
 
 
+def claim_conditioning() -> str:
+    """Errors of two views over four baselines by scene, and how they go with the baseline."""
+    found = _claim("conditioning")
+    slopes = {(s["scene"], s["error"]): s["slope"] for s in found["slopes"] if s["over"] == "baseline_m"}
+    rows = []
+    for gap in found["by_gap"]:
+        if gap["gap"] in (1, 4, 16):
+            slope = slopes[gap["scene"], "direction_deg"] if gap["gap"] == 1 else None
+            names = "direction_deg", "bound_direction_deg", "direction_deg_of_bound"
+            told = [_with_ends({end: gap[name][end] for end in ("value", "low", "high")}) for name in names]
+            rotation, depth = f"{gap['rotation_deg']['value']:.2g}", percent(gap["depth"]["value"])
+            power = _with_ends(slope) if slope else ""
+            rows.append((gap["scene"], f"{gap['baseline_m']:.2f}", *told, rotation, depth, power))
+    header = (
+        "scene",
+        "baseline, m",
+        "direction, deg",
+        "bound",
+        "over bound",
+        "rotation, deg",
+        "depth",
+        "power",
+    )
+    return table(header, rows)
+
+
+@cache
+def _claim(name: str) -> dict[str, Any]:
+    return json.loads((HERE / "claims" / name / "figures.json").read_text())
+
+
 def eq1_one_thread() -> str:
     """Conditions of `eq1` with the thread ORB."""
     return _conditions(1, ("condition", "breaks, p₀", "ORB fails"))
