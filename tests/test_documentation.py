@@ -12,6 +12,7 @@ import pytest
 import typer
 import yaml
 
+from dslab.experiments.claims.loading import is_claim, load_claim
 from dslab.experiments.cli.commands import app
 from dslab.experiments.eq1.spec import load_spec
 from dslab.experiments.runs.slam_settings import read_slam_settings
@@ -96,7 +97,7 @@ def test_commands_and_their_options_exist(page):
             command = command.commands[words.pop(0).strip(".,")]
         assert not (words and getattr(command, "commands", {})) or words[0].startswith("-"), line
         if line.startswith("dslab experiment run ") and re.fullmatch(r"[\w-]+", words[0]):
-            load_spec(words[0])
+            (load_claim if is_claim(words[0]) else load_spec)(words[0])
         known = {option for each in command.params for option in (*each.opts, *each.secondary_opts)}
         assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, line
 
