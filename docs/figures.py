@@ -15,6 +15,7 @@ from dslab.scenarios.describe import describe_kind, label_and_unit
 
 HERE = Path(__file__).parent
 THREADS = ("breaks", "ORB", "SIFT", "direct", "the paper's ORB")
+PEERS = ("orbslam", "orbslam3")
 VERDICTS = {"optimistic": "**optimistic**"}
 
 
@@ -252,3 +253,33 @@ def _with_ends(of: dict[str, float | None]) -> str:
     """A figure with its interval in brackets, to two digits behind the point or three in all."""
     value, low, high = ("unbounded" if end is None else f"{round(end, 2) + 0.0:.3g}" for end in of.values())
     return f"{value} [{low}, {high}]"
+
+
+def profiles() -> str:
+    """`orbslam` beside C++ ORB-SLAM3: median of the runs of each sequence, and over sequences."""
+    runs = pd.read_parquet(HERE / "profiles" / "runs.parquet")
+    medians = runs.groupby(["stressed", "sequence", "system"])[["ate_m", "completeness", "share_tracked"]]
+    wide = medians.median().unstack("system")
+    rows = []
+    for (stressed, sequence), of in wide.iterrows():
+        ate, held, tracked = (of[name] for name in ("ate_m", "completeness", "share_tracked"))
+        rows.append(
+            (
+                f"{sequence}, stressed" if stressed else sequence,
+                *(f"{ate[name]:.3g}" if ate[name] == ate[name] else "" for name in PEERS),
+                f"{ate['orbslam'] / ate['orbslam3']:.2f}" if ate.notna().all() else "",
+                *(percent(held[name]) for name in PEERS),
+                *(percent(tracked[name]) for name in PEERS),
+            )
+        )
+    header = (
+        "sequence",
+        "ATE, m",
+        "ORB-SLAM3",
+        "ratio",
+        "in the largest map",
+        "ORB-SLAM3 ",
+        "tracked",
+        " ORB-SLAM3",
+    )
+    return table(header, rows)
