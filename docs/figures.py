@@ -259,7 +259,7 @@ def profiles() -> str:
     """`orbslam` beside C++ ORB-SLAM3: median of the runs of each sequence, and over sequences."""
     runs = pd.read_parquet(HERE / "profiles" / "runs.parquet")
     medians = runs.groupby(["stressed", "sequence", "system"])[["ate_m", "completeness", "share_tracked"]]
-    wide = medians.median().unstack("system")
+    wide = medians.median().astype(float).unstack("system")
     rows = []
     for (stressed, sequence), of in wide.iterrows():
         ate, held, tracked = (of[name] for name in ("ate_m", "completeness", "share_tracked"))

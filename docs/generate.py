@@ -24,7 +24,7 @@ EXPERIMENTS = ("eq1", "eq1-doses", "eq1-vga", "eq1-quick")
 BLOCK = re.compile(
     r"<!-- (?P<kind>made|code): (?P<name>\S+) -->(\n((?!<!-- (made|code):).)*?<!-- end -->)?", re.DOTALL
 )
-RECORDS = (*EXPERIMENTS, "claims", "direct-thread", "ldso", "ldso-flicker", "rescue", "threads")
+RECORDS = (*EXPERIMENTS, "claims", "profiles", "direct-thread", "ldso", "ldso-flicker", "rescue", "threads")
 NOT_ON_THE_SITE = ("*.py", "__pycache__", "notebook", *RECORDS)
 
 

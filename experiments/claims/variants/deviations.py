@@ -75,7 +75,11 @@ DEVIATIONS = (
             (
                 "candidates",
                 PUBLISHED,
-                {"relocalization.candidates": ALL, "relocalization.last_keyframe": False},
+                {
+                    "relocalization.candidates": ALL,
+                    "relocalization.last_keyframe": False,
+                    "relocalization.local_map_keyframes": 1,
+                },
             ),
             ("margin", PUBLISHED, {"relocalization.min_margin": 0.0}),
             ("probation", PUBLISHED, {"probation": None}),
