@@ -1,6 +1,7 @@
 """ORB-SLAM as published: each setting is published, idle or told to stay; its rules are its text's."""
 
 from dataclasses import is_dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -95,14 +96,14 @@ def test_the_rules_of_the_text_say_when_a_frame_is_lost_and_when_it_is_a_keyfram
 
     class Frame:
         def __init__(self, index):
-            self.features = Features(index)
+            self.features, self.reference_keyframe = Features(index), 0
 
     class Tracking:
-        map, resumed, last_keyframe = None, None, Features(100)
+        map, resumed, last_keyframe = SimpleNamespace(arrays=None), None, Features(100)
 
     from dslab.slam.tracking.rules import published
 
-    monkeypatch.setattr(published, "known_points", lambda *_: 100)
+    monkeypatch.setattr(published, "count_observed", lambda *_: 100)
     choice, loss, state = PublishedKeyframeChoice(), PublishedLoss(), Tracking()
     wants = lambda index, inliers, idle: choice.wants(state, Frame(index), inliers, idle)  # noqa: E731
     assert wants(101, 89, True) and not wants(101, 90, True) and not wants(101, 49, True)

@@ -10,9 +10,10 @@ Robotics 31(5), 2015, section V.
 import numpy as np
 
 from dslab.slam.core.frame import Frame
+from dslab.slam.map._map_kernels import count_observed
 from dslab.slam.tracking.local_map import local_map, match_local, optimize_frame
 from dslab.slam.tracking.rules.interface import Gate, KeyframeChoice, Loss, Search, Tracking
-from dslab.slam.tracking.rules.own import known_points, match_last, track_reference_keyframe
+from dslab.slam.tracking.rules.own import match_last, track_reference_keyframe
 
 # Half side of the window around a predicted point, px on level 0; twice as much in the wider search: release.
 _RADIUS_PX = 15.0
@@ -89,5 +90,5 @@ class PublishedKeyframeChoice(KeyframeChoice):
         """Return True if all four hold."""
         if not self.may(tracking, frame, mapping_is_idle):
             return False
-        known = known_points(tracking.map, frame)
+        known = count_observed(tracking.map.arrays, frame.reference_keyframe, 1)
         return inliers >= _KEYFRAME_POINTS and inliers < _KEYFRAME_SHARE * known
