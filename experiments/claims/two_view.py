@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 from dslab.experiments.claims.plain_ransac import InlierCount, plain_ransac
 from dslab.experiments.claims.spec import ClaimSpec, Row, Unit
 from dslab.experiments.claims.two_view_bound import Rays, median_error_deg, pose_covariance, refined
+from dslab.experiments.eq1.conditioning import angle_deg, magsac
 from dslab.experiments.evaluation.alignment import rotation_angle_deg
 from dslab.experiments.runs.execution import slam_camera
 from dslab.experiments.runs.slam_settings import parse_slam_settings
@@ -33,7 +34,6 @@ from dslab.slam.matching.brute_force import match_brute_force
 _LEAST_BASELINE_M = 1e-6
 _LEAST_MATCHES = 8
 """Five matches are fitted exactly, whether right or wrong."""
-_MAGSAC_CONFIDENCE, _MAGSAC_ITERATIONS = 0.999, 2000
 _FARTHEST = 1e6
 """In baselines. OpenCV's default of 50 excludes most points of a narrow pair from the choice of poses."""
 _SMOOTH = 0.05
@@ -164,7 +164,7 @@ class Pair:
         relative = np.abs(depth / self.depth_m[known] - 1)
         turn = rotation_angle_deg((R.T @ self.R)[None])[0]
         return {
-            f"direction_deg{suffix}": _angle_deg(direction, self.t),
+            f"direction_deg{suffix}": angle_deg(direction, self.t),
             f"rotation_deg{suffix}": float(turn),
             f"depth{suffix}": float(np.median(relative)) if len(relative) else None,
         }
@@ -300,17 +300,9 @@ def essential_pose(
     """
     if len(rays) < _LEAST_MATCHES:
         return None
-    params = cv2.UsacParams()
-    params.confidence, params.maxIterations = _MAGSAC_CONFIDENCE, _MAGSAC_ITERATIONS
-    params.threshold = threshold_px
-    params.isParallel = False
-    params.randomGeneratorState = seed
-    params.score = cv2.SCORE_METHOD_MAGSAC
-    params.loMethod = cv2.LOCAL_OPTIM_SIGMA
-    params.loIterations = 10
     x1, x2 = focal_px * rays.x1[:, :2], focal_px * rays.x2[:, :2]
     K, undistorted = np.diag([focal_px, focal_px, 1.0]), np.zeros(5)
-    E, _ = cv2.findEssentialMat(x1, x2, K, K, undistorted, undistorted, params)
+    E, _ = cv2.findEssentialMat(x1, x2, K, K, undistorted, undistorted, magsac(seed, threshold_px))
     if E is None or E.shape != (3, 3) or not np.isfinite(E).all():
         return None
     inliers = InlierCount(rays.x1, rays.x2, threshold_px / focal_px).masks(E[None])[0]
@@ -373,8 +365,3 @@ def _rays(camera: PinholeCamera, xy: np.ndarray) -> np.ndarray:
 
 def _cross_matrix(t: np.ndarray) -> np.ndarray:
     return np.cross(np.eye(3), t).T
-
-
-def _angle_deg(a: np.ndarray, b: np.ndarray) -> float:
-    """Angle between two non-zero vectors (3,)."""
-    return float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)))

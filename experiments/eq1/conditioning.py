@@ -117,17 +117,20 @@ def relative_pose(
         return None
     pixels_1, pixels_2 = (camera.undistort_points(xy).astype(np.float64) for xy in (xy_1, xy_2))
     K, undistorted = camera.K, np.zeros(5)
-    E, inliers = cv2.findEssentialMat(pixels_1, pixels_2, K, K, undistorted, undistorted, _sampling(seed))
+    E, inliers = cv2.findEssentialMat(
+        pixels_1, pixels_2, K, K, undistorted, undistorted, magsac(seed, _THRESHOLD_PX)
+    )
     if E is None or E.shape != (3, 3) or not np.isfinite(E).all():
         return None
     _, R, t, *_ = cv2.recoverPose(E, pixels_1, pixels_2, K, distanceThresh=_FARTHEST, mask=inliers)
     return R, t[:, 0]
 
 
-def _sampling(seed: int) -> cv2.UsacParams:
+def magsac(seed: int, threshold_px: float) -> cv2.UsacParams:
+    """Settings of MAGSAC++ with local optimisation, one thread, for :func:`cv2.findEssentialMat`."""
     params = cv2.UsacParams()
     params.confidence = _CONFIDENCE
-    params.threshold = _THRESHOLD_PX
+    params.threshold = threshold_px
     params.maxIterations = _ITERATIONS
     params.isParallel = False
     params.randomGeneratorState = seed

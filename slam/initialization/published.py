@@ -1,7 +1,7 @@
 """Two-view reconstruction as ORB-SLAM publishes it: two models by RANSAC, one chosen, a clear winner or none.
 
-Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV. Where the text gives no number it is that by
-which the public release is known; each says so.
+Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section IV. Where the text gives no number it is derived
+here, or one by which descriptions of the release know it; each says so.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,11 @@ _HOMOGRAPHY_SHARE = 0.45  # equation (4)
 _SIGMA_PX = 1.0  # "standard deviation of 1 pixel in the measurement error": section IV-2
 _POINTS, _PARALLAX_DEG = 50, 1.0  # fewest points, and the parallax that as many must have: release
 _GOOD_SHARE = 0.9  # share of the inliers that the winner must triangulate: release
-_CLEAR = 0.75  # largest share of the winner's points that another motion may have: release
-_ERROR_SIGMAS = 2.0  # "low reprojection error": release
-_FAR_DEG = 0.36  # parallax below which a point is too far away to keep: release
+_ERROR_SIGMAS = np.sqrt(5.99)  # "low reprojection error": T_H of section IV-2, 95 % in two dimensions
+_CLEAR_SIGMAS = (
+    3.0  # "clear winner": two counts n and m differ by chance by sqrt(n + m), so by three of these
+)
+_FAR_SIGMAS = 2.0  # "seen with parallax": beyond the noise of the angle, sqrt(2) px for two rays
 
 
 def published_reconstruction(
@@ -63,7 +65,8 @@ def _winner(
 ) -> TwoViewResult:
     """The motion that puts clearly most points in front of both cameras, with parallax; section IV-4."""
     error_px = np.full(len(pixels_1), _ERROR_SIGMAS * _SIGMA_PX)
-    tried = [models.try_motion(T, pixels_1, pixels_2, inliers, K, error_px, _FAR_DEG) for T in motions]
+    far_deg = float(np.rad2deg(_FAR_SIGMAS * np.sqrt(2.0) * _SIGMA_PX / K[0, 0]))
+    tried = [models.try_motion(T, pixels_1, pixels_2, inliers, K, error_px, far_deg) for T in motions]
     tried.sort(key=lambda t: int((t.triangulated | t.far).sum()), reverse=True)
     if not tried:  # the camera only rotated
         return replace(failure, reason="low_parallax")
@@ -74,7 +77,8 @@ def _winner(
     failure = replace(failure, parallax_deg=parallax_deg)
     if good < max(_POINTS, _GOOD_SHARE * inliers.sum()) or best.triangulated.sum() < _POINTS:
         return replace(failure, reason="few_points")
-    if any((t.triangulated | t.far).sum() > _CLEAR * good for t in others):
+    counts = [int((t.triangulated | t.far).sum()) for t in others]
+    if any(good - n < _CLEAR_SIGMAS * np.sqrt(good + n) for n in counts):
         return replace(failure, reason="ambiguous")
     if parallax_deg < _PARALLAX_DEG:
         return replace(failure, reason="low_parallax")

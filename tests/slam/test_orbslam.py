@@ -103,7 +103,7 @@ def test_the_rules_of_the_text_say_when_a_frame_is_lost_and_when_it_is_a_keyfram
 
     from dslab.slam.tracking.rules import published
 
-    monkeypatch.setattr(published, "count_observed", lambda *_: 100)
+    monkeypatch.setattr(published, "count_observed", lambda _, __, least: {1: 100, 3: 50}[least])
     choice, loss, state = PublishedKeyframeChoice(), PublishedLoss(), Tracking()
     wants = lambda index, inliers, idle: choice.wants(state, Frame(index), inliers, idle)  # noqa: E731
     assert wants(101, 89, True) and not wants(101, 90, True) and not wants(101, 49, True)

@@ -15,6 +15,7 @@ from dslab.experiments.claims.two_view_bound import (
     refined,
     tangent_plane,
 )
+from dslab.experiments.eq1.conditioning import angle_deg
 
 R_TRUE = Rotation.from_rotvec([0.05, -0.08, 0.03]).as_matrix()
 T_TRUE = np.array([0.4, 0.05, -0.1])
@@ -110,7 +111,7 @@ def test_the_estimate_of_wide_views_with_wrong_matches_is_near_the_bound():
         _, direction, inliers = two_view.essential_pose(rays, 250, 1.0, seed)
         assert inliers[30:].sum() > 80 and inliers[:30].sum() < 10
         _, bound = pose_covariance(R_TRUE, T_TRUE, rays.of(np.arange(30, 150)))
-        ratios.append(two_view._angle_deg(direction, T_TRUE) / median_error_deg(0.3**2 * bound))
+        ratios.append(angle_deg(direction, T_TRUE) / median_error_deg(0.3**2 * bound))
     assert np.median(ratios) < 1.7
 
 
