@@ -24,8 +24,10 @@ EXPERIMENTS = ("eq1", "eq1-doses", "eq1-vga", "eq1-quick")
 BLOCK = re.compile(
     r"<!-- (?P<kind>made|code): (?P<name>\S+) -->(\n((?!<!-- (made|code):).)*?<!-- end -->)?", re.DOTALL
 )
-RECORDS = (*EXPERIMENTS, "claims", "profiles", "direct-thread", "ldso", "ldso-flicker", "rescue", "threads")
-NOT_ON_THE_SITE = ("*.py", "__pycache__", "notebook", *RECORDS)
+RECORDS = (*EXPERIMENTS, "profiles", "direct-thread", "ldso", "ldso-flicker", "rescue", "threads")
+OF_CLAIMS = ("*.parquet", "spec.yaml", "figures.json")
+"""What the folders of claims hold beside the figures, which the site has."""
+NOT_ON_THE_SITE = ("*.py", "__pycache__", "notebook", *RECORDS, *OF_CLAIMS)
 
 
 def main(argument: str) -> None:
