@@ -15,6 +15,7 @@ from dslab.scenarios.describe import describe_kind, label_and_unit
 
 HERE = Path(__file__).parent
 THREADS = ("breaks", "ORB", "SIFT", "direct", "the paper's ORB")
+ENDS = ("value", "low", "high")
 PEERS = ("orbslam", "orbslam3")
 VERDICTS = {"optimistic": "**optimistic**"}
 
@@ -48,7 +49,7 @@ def claim_conditioning() -> str:
         if gap["gap"] in (1, 4, 16):
             slope = slopes[gap["scene"], "direction_deg"] if gap["gap"] == 1 else None
             names = "direction_deg", "bound_direction_deg", "direction_deg_of_bound"
-            told = [_with_ends({end: gap[name][end] for end in ("value", "low", "high")}) for name in names]
+            told = [_with_ends({end: gap[name][end] for end in ENDS}) for name in names]
             rotation, depth = f"{gap['rotation_deg']['value']:.2g}", percent(gap["depth"]["value"])
             power = _with_ends(slope) if slope else ""
             rows.append((gap["scene"], f"{gap['baseline_m']:.2f}", *told, rotation, depth, power))
@@ -63,6 +64,24 @@ def claim_conditioning() -> str:
         "power",
     )
     return table(header, rows)
+
+
+def claim_ransac() -> str:
+    """Errors of direction by 50 and by 50,000 samples of RANSAC, over the narrowest and widest baselines."""
+    found = _claim("ransac-iterations")
+    at = {(row["scene"], row["gap"], row["samples"]): row for row in found["by_samples"]}
+    rows = []
+    for change in found["changes"]:
+        few, many = (at[change["scene"], change["gap"], samples] for samples in (50, 50_000))
+        if change["gap"] in (1, 16):
+            told = [_with_ends({end: row["direction_deg"][end] for end in ENDS}) for row in (few, many)]
+            share = interval_of_share(many["telling_5"])
+            rows.append(
+                (change["scene"], f"{few['baseline_m']:.2f}", *told, _with_ends(change["ratio"]), share)
+            )
+    return table(
+        ("scene", "baseline, m", "50 samples, deg", "50,000 samples, deg", "ratio in a world", "looks right"), rows
+    )
 
 
 @cache
