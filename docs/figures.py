@@ -80,7 +80,8 @@ def claim_ransac() -> str:
                 (change["scene"], f"{few['baseline_m']:.2f}", *told, _with_ends(change["ratio"]), share)
             )
     return table(
-        ("scene", "baseline, m", "50 samples, deg", "50,000 samples, deg", "ratio in a world", "looks right"), rows
+        ("scene", "baseline, m", "50 samples, deg", "50,000 samples, deg", "ratio in a world", "looks right"),
+        rows,
     )
 
 
