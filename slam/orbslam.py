@@ -1,6 +1,6 @@
 """ORB-SLAM as it was published, as settings of the base: the system ``orbslam``.
 
-``PUBLISHED`` says what ORB-SLAM's paper, or descriptions of its release where the paper says "enough", give.
+``PUBLISHED`` says what ORB-SLAM's paper gives, or where it says "enough", notes on its public release.
 ``NO_EFFECT`` are settings that decide nothing then, ``STAYS`` those that do and for which nothing was
 published. A test holds the three against all settings, so that what stays different is a list, not a claim.
 
@@ -32,7 +32,6 @@ PUBLISHED: dict[str, Published] = {
     "orb.scale_factor": Published(1.2, "V-A"),
     "orb.fast_threshold": Published(20, "release; V-A: adapted per cell"),
     "orb.fast_min_threshold": Published(7, "release"),
-    "orb.cell_px": Published(30, "release; V-A: a grid"),
     "orb.subpixel": Published(False, "V-A: FAST corners"),
     "orb.noise_px": Published(1.0, "IV: a measurement error of 1 pixel"),
     "orb.faint_share": Published(0.0, "V-A: none"),
@@ -40,9 +39,7 @@ PUBLISHED: dict[str, Published] = {
     "initialization.min_keypoints": Published(100, "release"),
     "initialization.min_matches": Published(100, "release"),
     "initialization.matcher": Published("windowed", "release; IV-1"),
-    "initialization.radius_px": Published(100.0, "release"),
     "initialization.max_octave": Published(0, "IV-1: only at the finest scale"),
-    "initialization.ratio": Published(0.9, "release"),
     "initialization.min_points": Published(50, "release"),
     "initialization.max_between": Published(0, "IV: none"),
     "initialization.geometry": Published("published", "IV-2 to IV-4"),
@@ -78,12 +75,6 @@ PUBLISHED: dict[str, Published] = {
     "loops.judgement": Published(None, "VII: none"),
     "relocalization.candidates": Published(_ALL, "V-C: every candidate"),
     "relocalization.last_keyframe": Published(False, "V-C: candidates of the database"),
-    "relocalization.ratio": Published(0.75, "release"),
-    "relocalization.min_matches": Published(15, "release"),
-    "relocalization.ransac_iterations": Published(300, "release"),
-    "relocalization.min_pose_inliers": Published(10, "release"),
-    "relocalization.radii_px": Published((10.0, 3.0), "release"),
-    "relocalization.min_inliers": Published(50, "release"),
     "relocalization.local_map_keyframes": Published(1, "V-C: the points of the candidate keyframe"),
     "relocalization.min_margin": Published(0.0, "V-C: none"),
     "rescue.max_s": Published(0.0, "V: none"),
@@ -123,8 +114,17 @@ NO_EFFECT: dict[str, str] = {
 """Settings, or groups of them, that decide nothing, and the setting by which that is so."""
 
 STAYS: dict[str, str] = {
+    "orb.cell_px": "cells of 30 px; V-A gives no size",
+    "initialization.radius_px": "windows of 100 px; IV-1 gives no search",
+    "initialization.ratio": "the second best match is no nearer than by .9; IV-1 gives no number",
     "mapping.min_depth": "a new point is no nearer than .1 median depths; VI-C: in front of both cameras",
+    "relocalization.ratio": "the second best match is no nearer than by .75; V-C gives no number",
+    "relocalization.min_matches": "15 matches with a candidate; V-C gives no number",
+    "relocalization.ransac_iterations": "300 samples; V-C: iterations are alternated",
     "relocalization.ransac_error_px": "5 px, as the pose is refined next; V-C gives no number",
+    "relocalization.min_pose_inliers": "10 matches make a pose; V-C: enough inliers",
+    "relocalization.radii_px": "windows of 10, then 3 px; V-C: a guided search",
+    "relocalization.min_inliers": "50 matches in the end; V-C: enough inliers",
 }
 """Settings that are read and were not published, and what stays different by them."""
 
