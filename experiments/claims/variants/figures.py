@@ -39,8 +39,9 @@ def figures(spec: VariantsSpec, table: pd.DataFrame) -> Data:
         of amounts the median, with interval and worlds. ``contrasts``: per
         variant with its reference, measure and condition, and pooled (condition ``""``): the mean difference
         of the same world, its interval, ``p`` by Holm over all contrasts of the measure (pooled ones, and
-        those in single conditions, each for themselves), the worlds that have both, and those that have one.
-        ``no_gain``: variants that were tested and differ from their reference in no measure. ``middle``: for
+        those in single conditions, each for themselves), ``better`` where it is told from 0, the worlds that
+        have both, and those that have one. ``untold``: variants that were tested and differ from their
+        reference in no measure. ``middle``: for
         a histogram. ``values``: of each world, for a histogram and for dots.
     """
     used = table[table.exposed.isna() | table.exposed.eq(True)]
@@ -59,7 +60,7 @@ def figures(spec: VariantsSpec, table: pd.DataFrame) -> Data:
         "conditions": list(spec.cells),
         "estimates": list(_estimates(spec, by_world)),
         "contrasts": contrasts,
-        "no_gain": list(dict.fromkeys(row["variant"] for row in tested if row["variant"] not in told)),
+        "untold": list(dict.fromkeys(row["variant"] for row in tested if row["variant"] not in told)),
     }
     if spec.plot in ("histogram", "dots"):
         found["values"] = list(_values(spec, used))
@@ -110,6 +111,9 @@ def _contrasts(spec: VariantsSpec, by_world: dict[str, pd.DataFrame]) -> list[Da
             tested = [row for row in family if row["p"] is not None]
             for row, p in zip(tested, holm([row["p"] for row in tested]), strict=True):
                 row["p"] = float(p)
+                row["better"] = (
+                    (row["value"] > 0) == QUANTITIES[measure].more_is_better if p <= LEVEL else None
+                )
             rows += family
     return rows
 
@@ -176,8 +180,8 @@ def _answer(spec: VariantsSpec, found: Data) -> list[Any]:
             parts.append(f"{QUANTITIES[measure].label}: {sure} of {len(own)} differences are told from 0")
     if told := [_difference_row(row) for row in tested if row["p"] <= LEVEL]:
         parts.append(told)
-    if found["no_gain"]:
-        parts.append(f"told from their reference by nothing: {', '.join(found['no_gain'])}")
+    if found["untold"]:
+        parts.append(f"told from their reference by nothing: {', '.join(found['untold'])}")
     return parts if spec.plot == "forest" else [*parts, _estimate_rows(spec, found)]
 
 

@@ -18,12 +18,14 @@ class Quantity:
         column: of the row.
         is_share: an event, 0 or 1, or a share.
         is_log: its natural logarithm is compared: a difference is that of a ratio.
+        more_is_better: else less is.
     """
 
     label: str
     column: str
     is_share: bool = False
     is_log: bool = False
+    more_is_better: bool = False
 
     def of(self, table: pd.DataFrame) -> pd.Series:
         """(N,) float values of the rows of a table, NaN where there is none."""
@@ -35,10 +37,12 @@ class Quantity:
 QUANTITIES = {
     "failed": Quantity("broke and was not rescued", "failed", is_share=True),
     "broke": Quantity("broke", "broke", is_share=True),
-    "rescued": Quantity("of broken ones rescued", "rescued", is_share=True),
+    "rescued": Quantity("of broken ones rescued", "rescued", is_share=True, more_is_better=True),
     "wrong": Quantity("claimed what is false, or ended with a wrong map", "wrong", is_share=True),
-    "path_share": Quantity("share of the path in the largest map", "path_share", is_share=True),
-    "tracked_share": Quantity("share of frames tracked", "tracked_share", is_share=True),
+    "path_share": Quantity(
+        "share of the path in the largest map", "path_share", is_share=True, more_is_better=True
+    ),
+    "tracked_share": Quantity("share of frames tracked", "tracked_share", is_share=True, more_is_better=True),
     "log_ate": Quantity("ATE, m", "ate_m", is_log=True),
     "ate_share": Quantity("ATE over the path", "ate_share"),
     "first_map_frames": Quantity("frames to the first map", "first_map_frames"),

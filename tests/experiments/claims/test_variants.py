@@ -128,12 +128,13 @@ def test_differences_are_paired_by_world_and_told_by_holm(tmp_path):
     rows = {(r["variant"], r["measure"], r["condition"]): r for r in found["contrasts"]}
     pooled = rows["less", "path_share", ""]
     assert -0.06 < pooled["low"] < pooled["value"] < pooled["high"] < -0.02
-    assert pooled["worlds"] == 30
+    assert pooled["worlds"] == 30 and pooled["better"] is False  # less of the path
     assert pooled["p"] == pytest.approx(2e-4)  # of 10,000 exchanges none is larger; two contrasts
     assert rows["less", "path_share", "room/motion_blur/2"]["worlds"] == 28  # not exposed in two
     same = rows["alike", "log_ate", ""]
     assert (same["value"], same["p"], same["worlds"]) == (0.0, 1.0, 26) and same["left_out"] == 6
-    assert found["no_gain"] == ["alike"] and found["unexposed"] == 6
+    assert same["better"] is None
+    assert found["untold"] == ["alike"] and found["unexposed"] == 6
     *sentences, told, _ = found["answer"]
     assert "share of the path in the largest map: 3 of 6 differences are told from 0" in sentences
     assert {(row["variant"], row["measure"]) for row in told} == {("less", "path_share")}
