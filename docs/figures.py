@@ -9,23 +9,12 @@ from typing import Any
 import pandas as pd
 
 from dslab.experiments.campaign.folder import read_experiment
-from dslab.experiments.claims.variants.deviations import DEVIATIONS
-from dslab.experiments.claims.variants.quantities import QUANTITIES
 from dslab.experiments.eq1.doses import AXES
 from dslab.experiments.report.describe import interval_of_share, percent
 from dslab.scenarios.describe import describe_kind, label_and_unit
 
 HERE = Path(__file__).parent
 THREADS = ("breaks", "ORB", "SIFT", "direct", "the paper's ORB")
-MEASURES = {
-    "failed": "fails",
-    "broke": "breaks",
-    "wrong": "is wrong",
-    "path_share": "covers",
-    "log_ate": "errs",
-    "to_repair_s": "waits",
-    "cpu_ms": "computes",
-}
 ENDS = ("value", "low", "high")
 PEERS = ("orbslam", "orbslam3")
 VERDICTS = {"optimistic": "**optimistic**"}
@@ -118,80 +107,6 @@ def claim_onset() -> str:
         "silent",
     )
     return table(header, rows)
-
-
-def claim_ablation() -> str:
-    """Differences in points by each deviation, undone off ours and made on the published profile."""
-    sides = {"without": _claim("ablation"), "with": _claim("ablation-paper")}
-    pooled = {
-        (row["variant"], row["measure"]): row
-        for found in sides.values()
-        for row in found["contrasts"]
-        if not row["condition"]
-    }
-    rows = []
-    for deviation in DEVIATIONS:
-        own = {(side, m): pooled.get((f"{side}-{deviation.name}", m)) for side in sides for m in MEASURES}
-        told = {key: row for key, row in own.items() if row and row["better"] is not None}
-        words = [
-            f"{side} it {MEASURES[m]} {'more' if row['value'] > 0 else 'less'}"
-            for (side, m), row in told.items()
-        ]
-        gains = {row["better"] == (side == "with") for (side, _), row in told.items()}
-        worth = {(): "", (True,): "gain", (False,): "loss"}.get(tuple(gains), "both")
-        failed = [_points(own[side, "failed"]) for side in sides]
-        rows.append((f"`{deviation.name}`", *failed, "; ".join(words), worth))
-    header = (
-        "deviation",
-        "fails, without less with ours",
-        "with less without, published",
-        "told from 0",
-        "worth",
-    )
-    return table(header, rows)
-
-
-def _points(row: dict[str, Any] | None) -> str:
-    if row is None or row["value"] is None:
-        return ""
-    return _with_ends({end: row[end] and 100 * row[end] for end in ENDS})
-
-
-def claim_lines(name: str) -> str:
-    """Estimates of an experiment with variants: a row per variant and condition."""
-    found = _claim(name)
-    at: dict[tuple[str, str], dict[str, str]] = {}
-    for row in found["estimates"]:
-        share = row["measure"] in ("failed", "broke", "rescued", "wrong", "path_share")
-        cell = (interval_of_share if share else _with_ends)({end: row[end] for end in ENDS})
-        at.setdefault((row["variant"], row["condition"]), {})[row["measure"]] = cell
-    measures = found["measures"]
-    rows = [(*key, *(of.get(m, "") for m in measures)) for key, of in at.items()]
-    return table(("variant", "condition", *(QUANTITIES[m].label for m in measures)), rows)
-
-
-def claim_buffer() -> str:
-    """Seconds of buffer, and what they bring and cost."""
-    return claim_lines("buffer")
-
-
-def claim_init() -> str:
-    """Frames to a map by windows and by GMS."""
-    return claim_lines("init")
-
-
-def claim_dichotomy() -> str:
-    """Runs by the share of their path that the largest map covers."""
-    rows = [
-        (
-            part["variant"],
-            part["runs"],
-            *(interval_of_share(part[name]) for name in ("below", "between", "above")),
-        )
-        for part in _claim("dichotomy")["middle"]
-        if part["between"]
-    ]
-    return table(("system", "runs", "under 60 %", "60 to 95 %", "more"), rows)
 
 
 @cache
