@@ -145,6 +145,18 @@ def test_differences_are_paired_by_world_and_told_by_holm(tmp_path):
     assert [colours.count("black") for colours in black] == [0, 0, 1, 0]
 
 
+def test_less_of_an_error_is_better_and_less_of_the_path_is_not(tmp_path):
+    spec = spec_of(tmp_path)
+    shrunk = {
+        name: lambda row, name=name: row[name] * (0.9 if row["variant"] == "less" else 1.0)
+        for name in ("path_share", "ate_m")
+    }
+    found = VARIANTS.figures(spec, table_of(spec, **shrunk))
+    rows = {(r["variant"], r["measure"], r["condition"]): r for r in found["contrasts"]}
+    assert rows["less", "path_share", ""]["better"] is False
+    assert rows["less", "log_ate", ""]["better"] is True
+
+
 def test_the_middle_of_a_histogram_is_counted_by_worlds(tmp_path):
     spec = spec_of(tmp_path, SPEC + "plot: histogram\nmeasures: [path_share, ate_share]\n")
     table = table_of(
