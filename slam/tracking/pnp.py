@@ -31,7 +31,7 @@ def ransac_pnp(
         confidence: probability of having drawn the best pose, at which RANSAC stops.
 
     Returns:
-        T_cam_map (4, 4) and the inlier mask (n,) bool; None if no pose is accepted.
+        T_cam_map (4, 4) and the inlier mask (n,) bool; None if no pose is accepted, or the points coincide.
 
     Source: Lepetit, Moreno-Noguer, Fua, "EPnP", 2009.
     """
@@ -55,7 +55,10 @@ def ransac_pnp(
     agree = np.zeros(len(xyz), np.bool_)
     agree[inliers.ravel()] = True
     # Unlike the final step of OpenCV's RANSAC, SQPnP handles coplanar points.
-    solved, rotation, translation = cv2.solvePnP(xyz[agree], xy[agree], K, None, flags=cv2.SOLVEPNP_SQPNP)
+    try:
+        solved, rotation, translation = cv2.solvePnP(xyz[agree], xy[agree], K, None, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:  # It refuses points without extent, as those of a map that has collapsed.
+        return None
     if not solved:
         return None
     T = np.eye(4)

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from dslab.experiments.report.conditions import describe_label
 from dslab.experiments.report.plots.chain import draw_chain
 from dslab.experiments.report.plots.conditioning import draw_conditioning
+from dslab.experiments.report.plots.directions import draw_directions
 from dslab.experiments.report.plots.doses import draw_doses
 from dslab.experiments.report.plots.formulas import draw_formulas
 from dslab.experiments.report.plots.paths import draw_paths
@@ -86,6 +87,10 @@ def draw_plots(report: dict[str, Any], folder: Path) -> dict[str, Plot]:
         "formulas": (
             "Mean prediction of each formula minus the mean failures, per condition.",
             partial(draw_formulas, report),
+        ),
+        "directions": (
+            "Shares in which the base fails forward and each thread of Algorithm 1 backward, with intervals.",
+            partial(draw_directions, report),
         ),
         "doses": (
             "Shares of breakages, failures of threads and dual failures against the dose, with intervals.",

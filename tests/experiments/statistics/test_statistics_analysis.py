@@ -274,11 +274,18 @@ def test_p0_and_pr_are_compared_by_worlds():
         (found,) = analyse(table, 1, paper_threads=(1,), permutations=99).directions
         return found
 
-    alike = direction(rows["breakage"], np.where(rows["breakage"], "propagation", None))
-    assert (alike.difference.value, alike.p) == (0, 1)
+    alike = direction(rows["breakage"], np.where(rows["breakage"], "propagation", None)).declared
+    assert (alike.difference.value, alike.p) == (0, 1) and alike.forward == alike.backward
     later = direction(True, "audit")
-    assert later.difference.value == pytest.approx(rows["breakage"].mean()) and later.p < 1e-3
-    assert later.apart == len(rows)
+    broken = rows["breakage"].mean()
+    assert later.declared.difference.value == pytest.approx(broken) and later.declared.p < 1e-3
+    assert later.with_silent.backward.value == 1, "the audit's failures are failures by the second reading"
+    rows["silent_failure"] = ~rows["breakage"]
+    assert (
+        direction(True, "audit").with_silent.difference.value == 0 and later.with_silent.difference.high < 0
+    )
     never = rows.assign(cross_r2_failed=False, cross_r2_stage=None)
     first, second = analyse(never, 1, paper_threads=(1, 2), permutations=99).directions
-    assert (first.thread, second.thread) == (1, 2) and second.difference.low > 0, "the second fails less"
+    assert (first.thread, second.thread) == (1, 2) and second.declared.difference.low > 0, (
+        "the second fails less"
+    )

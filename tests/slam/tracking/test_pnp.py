@@ -40,3 +40,10 @@ def test_wrong_or_too_few_matches_give_no_pose():
     _, xyz, xy = seen(rng, 15, 0)
     assert ransac_pnp(xyz, xy, VIEW, rng, 300, 4.0, 20) is None
     assert ransac_pnp(xyz[:0], xy[:0], VIEW, rng, 300, 4.0, 0) is None
+
+
+def test_points_without_extent_give_no_pose():
+    """Those of a map that has collapsed: OpenCV's SQPnP raises an error."""
+    xyz = np.array([4.9, 0.0, 1.2]) + np.random.default_rng(47).normal(0, 1e-5, (13, 3))
+    one_place = np.full((13, 2), 100.0)
+    assert ransac_pnp(xyz, one_place, VIEW, np.random.default_rng(0), 300, 3.0, 6) is None
