@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterable
+from dataclasses import asdict, astuple
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,9 @@ import pandas as pd
 from dslab.experiments.campaign.folder import read_experiment
 from dslab.experiments.eq1.doses import AXES
 from dslab.experiments.report.describe import interval_of_share, percent
+from dslab.experiments.statistics.direction import directions
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.world_intervals import Interval
 from dslab.scenarios.describe import describe_kind, label_and_unit
 
 HERE = Path(__file__).parent
@@ -107,6 +111,29 @@ def claim_onset() -> str:
         "silent",
     )
     return table(header, rows)
+
+
+def claim_direction() -> str:
+    """Forward tracking beside the threads of Algorithm 1 backward, by both readings of what fails."""
+    _, records = read_experiment(HERE / "claims" / "direction")
+    found = directions(cells_of(records, 4), (1, 3))
+    rows = []
+    for orb, sift in zip(found[: len(found) // 2], found[len(found) // 2 :], strict=True):
+        for reading, words in (("declared", "declared"), ("with_silent", "with silent")):
+            one, other = getattr(orb, reading), getattr(sift, reading)
+            apart = [
+                f"**{_points(of.difference)}**" if of.p <= 0.05 else _points(of.difference)
+                for of in (one, other)
+            ]
+            condition = f"{describe_kind(orb.kind)}, {orb.world}, {orb.worlds}" if words == "declared" else ""
+            rows.append((condition, words, interval_of_share(asdict(one.forward)), *apart))
+    header = ("stress, kind and number of worlds", "failures", "p₀", "p₀ - pr, ORB", "p₀ - pr, SIFT")
+    return table(header, rows)
+
+
+def _points(difference: Interval) -> str:
+    value, low, high = (f"{round(100 * end) + 0:d}" for end in astuple(difference))
+    return f"{value} [{low}, {high}]"
 
 
 @cache
