@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, astuple
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,14 +11,10 @@ import pandas as pd
 from dslab.experiments.campaign.folder import read_experiment
 from dslab.experiments.eq1.doses import AXES
 from dslab.experiments.report.describe import interval_of_share, percent
-from dslab.experiments.statistics.direction import directions
-from dslab.experiments.statistics.from_records import cells_of
-from dslab.experiments.statistics.world_intervals import Interval
 from dslab.scenarios.describe import describe_kind, label_and_unit
 
 HERE = Path(__file__).parent
 THREADS = ("breaks", "ORB", "SIFT", "direct", "the paper's ORB")
-ENDS = ("value", "low", "high")
 PEERS = ("orbslam", "orbslam3")
 VERDICTS = {"optimistic": "**optimistic**"}
 
@@ -39,106 +34,9 @@ def eq1_rescuable() -> str:
         reading = cell["readings"]
         if cell["n"] == 2 and reading and reading["of_averages"]["ratio"] and cell["failures"] > 10:
             averages, measured = reading["of_averages"], interval_of_share(reading["measured"])
-            predicted, ratio = percent(averages["predicted"]), _with_ends(averages["ratio"])
+            predicted, ratio = percent(averages["predicted"]), with_ends(averages["ratio"])
             rows.append((_condition(cell["cell"]), reading["units"], predicted, measured, ratio))
     return table(("two threads, rescuable trials", "trials", "Eq. 1", "failed, D", "D / Eq. 1"), rows)
-
-
-def claim_conditioning() -> str:
-    """Errors of two views over three baselines by scene, and how they go with the baseline."""
-    found = _claim("conditioning")
-    slopes = {(s["scene"], s["error"]): s["slope"] for s in found["slopes"] if s["over"] == "baseline_m"}
-    rows = []
-    for gap in found["by_gap"]:
-        if gap["gap"] in (1, 4, 16):
-            slope = slopes[gap["scene"], "direction_deg"] if gap["gap"] == 1 else None
-            names = "direction_deg", "bound_direction_deg", "direction_deg_of_bound"
-            told = [_with_ends({end: gap[name][end] for end in ENDS}) for name in names]
-            rotation, depth = f"{gap['rotation_deg']['value']:.2g}", percent(gap["depth"]["value"])
-            power = _with_ends(slope) if slope else ""
-            rows.append((gap["scene"], f"{gap['baseline_m']:.2f}", *told, rotation, depth, power))
-    header = (
-        "scene",
-        "baseline, m",
-        "direction, deg",
-        "bound",
-        "over bound",
-        "rotation, deg",
-        "depth",
-        "power",
-    )
-    return table(header, rows)
-
-
-def claim_ransac() -> str:
-    """Errors of direction by 50 and by 50,000 samples of RANSAC, over the narrowest and widest baselines."""
-    found = _claim("ransac-iterations")
-    at = {(row["scene"], row["gap"], row["samples"]): row for row in found["by_samples"]}
-    rows = []
-    for change in found["changes"]:
-        few, many = (at[change["scene"], change["gap"], samples] for samples in (50, 50_000))
-        if change["gap"] in (1, 16):
-            told = [_with_ends({end: row["direction_deg"][end] for end in ENDS}) for row in (few, many)]
-            share = interval_of_share(many["telling_5"])
-            rows.append(
-                (change["scene"], f"{few['baseline_m']:.2f}", *told, _with_ends(change["ratio"]), share)
-            )
-    return table(
-        ("scene", "baseline, m", "50 samples, deg", "50,000 samples, deg", "ratio in a world", "looks right"),
-        rows,
-    )
-
-
-def claim_onset() -> str:
-    """What was wrong when tracking was lost, by system and stress."""
-    rows = []
-    for system, found in _claim("onset")["systems"].items():
-        for stress, of in found["stress"].items():
-            words = {"sham": "none", "all": "all stress"}.get(
-                stress, stress.replace("-", " ").replace("_", " ")
-            )
-            wrong = of["wrong"]
-            told = (of["broke"], wrong["before_declared"]["0.1"], wrong["view_fails"], of["silent"])
-            shares = ["" if share is None else interval_of_share(share) for share in told]
-            rows.append((system, words, of["units"] - of["void"] - of["not_exposed"], *shares))
-    header = (
-        "system",
-        "stress",
-        "units",
-        "breaks",
-        "map wrong > 0.1 s before",
-        "map right to the end",
-        "silent",
-    )
-    return table(header, rows)
-
-
-def claim_direction() -> str:
-    """Forward tracking beside the threads of Algorithm 1 backward, by both readings of what fails."""
-    _, records = read_experiment(HERE / "claims" / "direction")
-    found = directions(cells_of(records, 4), (1, 3))
-    rows = []
-    for orb, sift in zip(found[: len(found) // 2], found[len(found) // 2 :], strict=True):
-        for reading, words in (("declared", "declared"), ("with_silent", "with silent")):
-            one, other = getattr(orb, reading), getattr(sift, reading)
-            apart = [
-                f"**{_points(of.difference)}**" if of.p <= 0.05 else _points(of.difference)
-                for of in (one, other)
-            ]
-            condition = f"{describe_kind(orb.kind)}, {orb.world}, {orb.worlds}" if words == "declared" else ""
-            rows.append((condition, words, interval_of_share(asdict(one.forward)), *apart))
-    header = ("stress, kind and number of worlds", "failures", "p₀", "p₀ - pr, ORB", "p₀ - pr, SIFT")
-    return table(header, rows)
-
-
-def _points(difference: Interval) -> str:
-    value, low, high = (f"{round(100 * end) + 0:d}" for end in astuple(difference))
-    return f"{value} [{low}, {high}]"
-
-
-@cache
-def _claim(name: str) -> dict[str, Any]:
-    return json.loads((HERE / "claims" / name / "figures.json").read_text())
 
 
 def eq1_one_thread() -> str:
@@ -169,7 +67,7 @@ def _conditions(n: int, header: tuple[str, ...]) -> str:
                 percent(cell["weakest"]),
                 interval_of_share(dual),
                 f"{dual['value'] / cell['eq1']:.3g}" if cell["verdict_forecast"] != "untested" else "",
-                _with_ends(way) if decided else "",
+                with_ends(way) if decided else "",
                 ", ".join(verdicts),
             )
         )
@@ -184,8 +82,8 @@ def eq1_pairs() -> str:
     rows = [
         (
             " and ".join(THREADS[pair[of]] if pair[of] else "a breakage" for of in ("first", "second")),
-            _with_ends(pair["within"]),
-            _with_ends(pair["across"]),
+            with_ends(pair["within"]),
+            with_ends(pair["across"]),
             pair["telling"],
         )
         for pair in pairs
@@ -320,7 +218,7 @@ def _of(events: object, units: object) -> str:
     return f"{events} of {units}"
 
 
-def _with_ends(of: dict[str, float | None]) -> str:
+def with_ends(of: dict[str, float | None]) -> str:
     """A figure with its interval in brackets, to two digits behind the point or three in all."""
     value, low, high = ("unbounded" if end is None else f"{round(end, 2) + 0.0:.3g}" for end in of.values())
     return f"{value} [{low}, {high}]"

@@ -3,8 +3,9 @@
     python docs/generate.py --write     fills in what is made, in the pages of this folder
     python docs/generate.py FOLDER      writes the source of the site
 
-``<!-- made: NAME -->`` in a page begins what the function NAME of ``made`` or ``figures`` returns, and
-``<!-- code: FILE -->`` a file, up to ``<!-- end -->``. ``<!-- site: TEXT -->`` stands on the site alone.
+``<!-- made: NAME -->`` in a page begins what the function NAME of ``made``, ``figures`` or ``claim_tables``
+returns, and ``<!-- code: FILE -->`` a file, up to ``<!-- end -->``. ``<!-- site: TEXT -->`` stands on the
+site alone.
 """
 
 import re
@@ -12,6 +13,7 @@ import shutil
 import sys
 from pathlib import Path
 
+import claim_tables
 import figures
 import made
 
@@ -47,7 +49,7 @@ def filled(page: str) -> str:
         if kind == "code":
             content = f"```python\n{(ROOT / name).read_text()}```\n"
         else:
-            content = getattr(figures if hasattr(figures, name) else made, name)()
+            content = next(getattr(of, name) for of in (claim_tables, figures, made) if hasattr(of, name))()
         content = re.sub(r"\n{3,}(?=#)", "\n\n", content.strip())
         return f"<!-- {kind}: {name} -->\n\n{content}\n\n<!-- end -->"
 

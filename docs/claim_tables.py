@@ -1,0 +1,158 @@
+"""Tables of the page on the paper's claims, made from the published rows in ``claims``."""
+
+import json
+from dataclasses import asdict, astuple
+from functools import cache
+from math import exp
+from pathlib import Path
+from typing import Any
+
+from figures import table, with_ends
+
+from dslab.experiments.campaign.folder import read_experiment
+from dslab.experiments.claims.variants.deviations import DEVIATIONS
+from dslab.experiments.report.describe import interval_of_share, percent
+from dslab.experiments.statistics.direction import directions
+from dslab.experiments.statistics.from_records import cells_of
+from dslab.experiments.statistics.world_intervals import Interval
+from dslab.scenarios.describe import describe_kind
+
+HERE = Path(__file__).parent
+ENDS = ("value", "low", "high")
+
+
+def claim_conditioning() -> str:
+    """Errors of two views over three baselines by scene, and how they go with the baseline."""
+    found = _claim("conditioning")
+    slopes = {(s["scene"], s["error"]): s["slope"] for s in found["slopes"] if s["over"] == "baseline_m"}
+    rows = []
+    for gap in found["by_gap"]:
+        if gap["gap"] in (1, 4, 16):
+            slope = slopes[gap["scene"], "direction_deg"] if gap["gap"] == 1 else None
+            names = "direction_deg", "bound_direction_deg", "direction_deg_of_bound"
+            told = [with_ends({end: gap[name][end] for end in ENDS}) for name in names]
+            rotation, depth = f"{gap['rotation_deg']['value']:.2g}", percent(gap["depth"]["value"])
+            power = with_ends(slope) if slope else ""
+            rows.append((gap["scene"], f"{gap['baseline_m']:.2f}", *told, rotation, depth, power))
+    header = (
+        "scene",
+        "baseline, m",
+        "direction, deg",
+        "bound",
+        "over bound",
+        "rotation, deg",
+        "depth",
+        "power",
+    )
+    return table(header, rows)
+
+
+def claim_ransac() -> str:
+    """Errors of direction by 50 and by 50,000 samples of RANSAC, over the narrowest and widest baselines."""
+    found = _claim("ransac-iterations")
+    at = {(row["scene"], row["gap"], row["samples"]): row for row in found["by_samples"]}
+    rows = []
+    for change in found["changes"]:
+        few, many = (at[change["scene"], change["gap"], samples] for samples in (50, 50_000))
+        if change["gap"] in (1, 16):
+            told = [with_ends({end: row["direction_deg"][end] for end in ENDS}) for row in (few, many)]
+            share = interval_of_share(many["telling_5"])
+            rows.append(
+                (change["scene"], f"{few['baseline_m']:.2f}", *told, with_ends(change["ratio"]), share)
+            )
+    return table(
+        ("scene", "baseline, m", "50 samples, deg", "50,000 samples, deg", "ratio in a world", "looks right"),
+        rows,
+    )
+
+
+def claim_onset() -> str:
+    """What was wrong when tracking was lost, by system and stress."""
+    rows = []
+    for system, found in _claim("onset")["systems"].items():
+        for stress, of in found["stress"].items():
+            words = {"sham": "none", "all": "all stress"}.get(
+                stress, stress.replace("-", " ").replace("_", " ")
+            )
+            wrong = of["wrong"]
+            told = (of["broke"], wrong["before_declared"]["0.1"], wrong["view_fails"], of["silent"])
+            shares = ["" if share is None else interval_of_share(share) for share in told]
+            rows.append((system, words, of["units"] - of["void"] - of["not_exposed"], *shares))
+    header = (
+        "system",
+        "stress",
+        "units",
+        "breaks",
+        "map wrong > 0.1 s before",
+        "map right to the end",
+        "silent",
+    )
+    return table(header, rows)
+
+
+def claim_direction() -> str:
+    """Forward tracking beside the threads of Algorithm 1 backward, by both readings of what fails."""
+    _, records = read_experiment(HERE / "claims" / "direction")
+    found = directions(cells_of(records, 4), (1, 3))
+    rows = []
+    for orb, sift in zip(found[: len(found) // 2], found[len(found) // 2 :], strict=True):
+        for reading, words in (("declared", "declared"), ("with_silent", "with silent")):
+            one, other = getattr(orb, reading), getattr(sift, reading)
+            apart = [
+                f"**{_points(of.difference)}**" if of.p <= 0.05 else _points(of.difference)
+                for of in (one, other)
+            ]
+            condition = f"{describe_kind(orb.kind)}, {orb.world}, {orb.worlds}" if words == "declared" else ""
+            rows.append((condition, words, interval_of_share(asdict(one.forward)), *apart))
+    header = ("stress, kind and number of worlds", "failures", "p₀", "p₀ - pr, ORB", "p₀ - pr, SIFT")
+    return table(header, rows)
+
+
+def _points(difference: Interval) -> str:
+    value, low, high = (f"{round(100 * end) + 0:d}" for end in astuple(difference))
+    return f"{value} [{low}, {high}]"
+
+
+@cache
+def _claim(name: str) -> dict[str, Any]:
+    return json.loads((HERE / "claims" / name / "figures.json").read_text())
+
+
+def claim_ablation() -> str:
+    """Differences that each deviation makes, undone off ours, in the mean over conditions."""
+    pooled = {
+        (row["variant"], row["measure"]): row
+        for row in _claim("ablation")["contrasts"]
+        if not row["condition"]
+    }
+    rows = []
+    for deviation in DEVIATIONS:
+        own = [pooled[f"without-{deviation.name}", measure] for measure in MEASURES]
+        if any(row["better"] is not None for row in own):
+            cells = (_difference(row, measure) for row, measure in zip(own, MEASURES, strict=True))
+            rows.append((f"`{deviation.name}`", *cells))
+    return table(("without", *MEASURES.values()), rows)
+
+
+MEASURES = {
+    "broke": "breaks, points",
+    "failed": "fails, points",
+    "wrong": "is wrong, points",
+    "path_share": "path in the map, points",
+    "log_ate": "ATE, ratio",
+    "cpu_ms": "CPU, ms a frame",
+}
+
+
+def _difference(row: dict[str, Any], measure: str) -> str:
+    """A difference of a measure with its interval, bold where told from 0; empty where none."""
+    if row["value"] is None or row["low"] is None:
+        return ""
+    ends = [row[end] for end in ENDS]
+    if measure == "log_ate":
+        words = with_ends(dict(zip(ENDS, map(exp, ends), strict=True)))
+    else:
+        words = with_ends(
+            dict(zip(ENDS, ends if measure == "cpu_ms" else [100 * end for end in ends], strict=True))
+        )
+    return words if row["better"] is None else f"**{words}**"
