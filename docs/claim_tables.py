@@ -1,6 +1,7 @@
 """Tables of the page on the paper's claims, made from the published rows in ``claims``."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict, astuple
 from functools import cache
 from math import exp
@@ -118,41 +119,49 @@ def _claim(name: str) -> dict[str, Any]:
     return json.loads((HERE / "claims" / name / "figures.json").read_text())
 
 
-def claim_ablation() -> str:
-    """Differences that each deviation makes, undone off ours, in the mean over conditions."""
-    pooled = {
-        (row["variant"], row["measure"]): row
-        for row in _claim("ablation")["contrasts"]
-        if not row["condition"]
-    }
-    rows = []
-    for deviation in DEVIATIONS:
-        own = [pooled[f"without-{deviation.name}", measure] for measure in MEASURES]
-        if any(row["better"] is not None for row in own):
-            cells = (_difference(row, measure) for row, measure in zip(own, MEASURES, strict=True))
-            rows.append((f"`{deviation.name}`", *cells))
-    return table(("without", *MEASURES.values()), rows)
-
-
 MEASURES = {
     "broke": "breaks, points",
     "failed": "fails, points",
-    "wrong": "is wrong, points",
-    "path_share": "path in the map, points",
+    "path_share": "path, points",
     "log_ate": "ATE, ratio",
-    "cpu_ms": "CPU, ms a frame",
+    "to_repair_s": "to a rescue, s",
 }
 
 
+def claim_ablation() -> str:
+    """Differences that deviations make, undone off ours: those told from 0 over all conditions or in one."""
+    found = {
+        (row["variant"], row["measure"], row["condition"]): row for row in _claim("ablation")["contrasts"]
+    }
+    told = {variant for (variant, measure, _), row in found.items() if measure in MEASURES and _is_told(row)}
+    rows = []
+    for name in (f"without-{deviation.name}" for deviation in DEVIATIONS):
+        if name in told:
+            cells = [_difference(found[name, measure, ""], measure) for measure in MEASURES]
+            rows.append(
+                (f"`{name.removeprefix('without-')}`", *cells, "; ".join(_in_one_condition(name, found)))
+            )
+    return table(("without", *MEASURES.values(), "in one condition"), rows)
+
+
+def _in_one_condition(variant: str, found: dict[tuple[str, str, str], dict[str, Any]]) -> Iterator[str]:
+    """What is told from 0 in a condition, and not over all."""
+    for (name, measure, condition), row in found.items():
+        known = name == variant and measure in MEASURES and condition != ""
+        if known and _is_told(row) and not _is_told(found[name, measure, ""]):
+            stress = condition.split("/")[1].replace("_", " ")
+            yield f"{MEASURES[measure].split(',')[0]} {_difference(row, measure)}, {stress}"
+
+
+def _is_told(row: dict[str, Any]) -> bool:
+    return row.get("better") is not None
+
+
 def _difference(row: dict[str, Any], measure: str) -> str:
-    """A difference of a measure with its interval, bold where told from 0; empty where none."""
+    """A difference of a measure with its interval, bold where it is told from 0; empty where none."""
     if row["value"] is None or row["low"] is None:
         return ""
-    ends = [row[end] for end in ENDS]
-    if measure == "log_ate":
-        words = with_ends(dict(zip(ENDS, map(exp, ends), strict=True)))
-    else:
-        words = with_ends(
-            dict(zip(ENDS, ends if measure == "cpu_ms" else [100 * end for end in ends], strict=True))
-        )
-    return words if row["better"] is None else f"**{words}**"
+    points = 1 if measure == "to_repair_s" else 100
+    value, low, high = (exp(row[end]) if measure == "log_ate" else points * row[end] for end in ENDS)
+    words = f"{value:.2g} [{low:.2g}, {high:.2g}]"
+    return f"**{words}**" if _is_told(row) else words

@@ -41,7 +41,8 @@ def measure(spec: VariantsSpec, unit: dict[str, Any]) -> list[Row]:
     """Run the variants of a unit, one row each.
 
     All of them have one seed, so that two differ by their settings alone; the rows do not depend on how the
-    variants are cut into units. Times (``cpu_ms``, ``recovery_cpu_s``, ``wall_s``) are measured.
+    variants are cut into units. Times (``cpu_ms``, ``recovery_cpu_s``, ``wall_s``) are measured; the first run
+    of a unit takes longer, so that their order is drawn.
     """
     cv2.setNumThreads(1)
     condition, world = unit["condition"], unit["world"]
@@ -57,7 +58,11 @@ def measure(spec: VariantsSpec, unit: dict[str, Any]) -> list[Row]:
         "exposed": any(s.first_frame >= 0 for s in sequence.segments) if stress else None,
     }
     seed = spec.seed("systems", world)
-    return [about | run_variant(spec.variant(name), sequence, seed) for name in unit["variants"]]
+    names = unit["variants"]
+    rng = np.random.default_rng(spec.seed("order", condition, unit["part"], world))
+    order = rng.permutation(len(names))
+    rows = {names[k]: about | run_variant(spec.variant(names[k]), sequence, seed) for k in order}
+    return [rows[name] for name in names]
 
 
 def run_variant(variant: Variant, sequence: Sequence, seed: int) -> Row:

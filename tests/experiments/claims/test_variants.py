@@ -215,3 +215,19 @@ def test_parts_of_a_world_have_the_same_frames_and_seeds(tmp_path, monkeypatch):
         VARIANTS.measure(spec, unit)
     first, *others = [(sequence.scenario, seed) for _, sequence, seed in seen]
     assert len(others) == 2 and all(other == first for other in others)
+
+
+def test_no_variant_is_always_the_first_of_its_unit(tmp_path, monkeypatch):
+    """The first run of a unit takes longer than the others."""
+    spec = spec_of(tmp_path).model_copy(update={"worlds": 12})
+    monkeypatch.setattr(measure, "render_sequence", lambda scenario: SimpleNamespace(segments=()))
+    ran = []
+    monkeypatch.setattr(
+        measure, "run_variant", lambda variant, *_: ran.append(variant.name) or {"variant": variant.name}
+    )
+    firsts = set()
+    for unit in VARIANTS.units(spec):
+        start = len(ran)
+        assert [row["variant"] for row in VARIANTS.measure(spec, unit)] == unit["variants"]
+        firsts.add(ran[start])
+    assert len(firsts) == 3
