@@ -165,3 +165,16 @@ def _difference(row: dict[str, Any], measure: str) -> str:
     value, low, high = (exp(row[end]) if measure == "log_ate" else points * row[end] for end in ENDS)
     words = f"{value:.2g} [{low:.2g}, {high:.2g}]"
     return f"**{words}**" if _is_told(row) else words
+
+
+def claim_init() -> str:
+    """Frames to a map at the start and after a breakage, by windows and by GMS."""
+    found = {(e["variant"], e["condition"], e["measure"]): e for e in _claim("init")["estimates"]}
+    rows = []
+    for condition in dict.fromkeys(condition for _, condition, _ in found):
+        for measure, words in (("first_map_frames", "start"), ("next_map_frames", "after a breakage")):
+            told = (found[name, condition, measure] for name in ("paper", "paper+", "dual", "dual+"))
+            cells = (f"{e['value']:g} [{e['low']:g}, {e['high']:g}]" for e in told)
+            rows.append((f"{condition.split('/')[0]}, {words}", *cells))
+    header = ("frames to a map", "`paper`: windows", "`paper+`: GMS", "`dual`: windows", "`dual+`: both")
+    return table(header, rows)
