@@ -41,8 +41,8 @@ def measure(spec: VariantsSpec, unit: dict[str, Any]) -> list[Row]:
     """Run the variants of a unit, one row each.
 
     All of them have one seed, so that two differ by their settings alone; the rows do not depend on how the
-    variants are cut into units. Times (``cpu_ms``, ``recovery_cpu_s``, ``wall_s``) are measured; the first
-    run of a unit takes longer, so that their order is drawn.
+    variants are cut into units. Times (``cpu_ms``, ``recovery_cpu_s``, ``wall_s``) are measured: the order
+    of the runs is drawn, so that none has always the same place in it.
     """
     cv2.setNumThreads(1)
     condition, world = unit["condition"], unit["world"]

@@ -218,7 +218,7 @@ def test_parts_of_a_world_have_the_same_frames_and_seeds(tmp_path, monkeypatch):
 
 
 def test_no_variant_is_always_the_first_of_its_unit(tmp_path, monkeypatch):
-    """The first run of a unit takes longer than the others."""
+    """Times are measured, and may depend on the place."""
     spec = spec_of(tmp_path).model_copy(update={"worlds": 12})
     monkeypatch.setattr(measure, "render_sequence", lambda scenario: SimpleNamespace(segments=()))
     ran = []
