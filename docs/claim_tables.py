@@ -8,10 +8,10 @@ from math import exp
 from pathlib import Path
 from typing import Any
 
-from figures import table, with_ends
+from figures import bullets, table, with_ends
 
 from dslab.experiments.campaign.folder import read_experiment
-from dslab.experiments.claims.variants.deviations import DEVIATIONS
+from dslab.experiments.claims.variants.deviations import ALL, DEVIATIONS, NEVER, PUBLISHED, made
 from dslab.experiments.report.describe import interval_of_share, percent
 from dslab.experiments.statistics.direction import directions
 from dslab.experiments.statistics.from_records import cells_of
@@ -126,6 +126,17 @@ MEASURES = {
     "log_ate": "ATE, ratio",
     "to_repair_s": "to a rescue, s",
 }
+WORDS = {
+    "broke": "breaks {} points",
+    "failed": "fails {} points",
+    "wrong": "wrong {} points",
+    "path_share": "path {} points",
+    "log_ate": "ATE {} times",
+    "to_repair_s": "to a rescue {} s",
+    "cpu_ms": "CPU {} ms a frame",
+}
+CPU_SPREAD_MS = 1.0
+"""Told differences of CPU time that are less are left out: equal runs differ by half of it."""
 
 
 def claim_ablation() -> str:
@@ -138,19 +149,57 @@ def claim_ablation() -> str:
     for name in (f"without-{deviation.name}" for deviation in DEVIATIONS):
         if name in told:
             cells = [_difference(found[name, measure, ""], measure) for measure in MEASURES]
-            rows.append(
-                (f"`{name.removeprefix('without-')}`", *cells, "; ".join(_in_one_condition(name, found)))
-            )
+            rows.append((f"`{name.removeprefix('without-')}`", *cells, "; ".join(_in_one_condition(name))))
     return table(("without", *MEASURES.values(), "in one condition"), rows)
 
 
-def _in_one_condition(variant: str, found: dict[tuple[str, str, str], dict[str, Any]]) -> Iterator[str]:
+def deviations() -> str:
+    """Every deviation that settings undo: these settings, what was told from 0, and which gained nothing."""
+    lines = []
+    for deviation in DEVIATIONS:
+        heading = "" if deviation.heading == PUBLISHED else f"**{deviation.heading}**, "
+        settings = [f"`{name}{_written(value, ': ')}`" for name, value in made(deviation).items()]
+        undone = [f"`{_written(value)}`" for value in deviation.undone.values()]
+        told = f"{heading}`{deviation.name}`: {', '.join(settings)}; undone by {', '.join(undone)}."
+        lines.append(f"{told} {_worth(deviation.name)}")
+    return "\n".join(bullets(lines))
+
+
+def _written(value: Any, before: str = "") -> str:
+    if value == {}:  # on, with settings of its own
+        return ""
+    return before + ("infinite" if value in (NEVER, ALL) else json.dumps(value))
+
+
+def _worth(name: str) -> str:
+    """What was told from 0 without a deviation, and with it alone on the published profile."""
+    without = list(_told("ablation", f"without-{name}"))
+    alone = list(_told("ablation-paper", f"with-{name}"))
+    gains = any(row["better"] is False for row in without) or any(row["better"] for row in alone)
+    sides = (("Without it", without), ("Alone", alone))
+    parts = [f"{words} {'; '.join(map(_told_words, rows))}." for words, rows in sides if rows]
+    return " ".join([*parts, *([] if gains else ["**No gain.**"])])
+
+
+def _told(claim: str, variant: str) -> list[dict[str, Any]]:
+    """What is told from 0 of a variant over all conditions, and in one where it is not over all."""
+    rows = [row for row in _claim(claim)["contrasts"] if row["variant"] == variant and _is_told(row)]
+    rows = [row for row in rows if row["measure"] != "cpu_ms" or abs(row["value"]) > CPU_SPREAD_MS]
+    pooled = {row["measure"] for row in rows if not row["condition"]}
+    return [row for row in rows if not row["condition"] or row["measure"] not in pooled]
+
+
+def _told_words(row: dict[str, Any]) -> str:
+    told = WORDS[row["measure"]].format(_difference(row, row["measure"]).strip("*"))
+    return f"{told} ({row['condition'].split('/')[1].replace('_', ' ')})" if row["condition"] else told
+
+
+def _in_one_condition(variant: str) -> Iterator[str]:
     """What is told from 0 in a condition, and not over all."""
-    for (name, measure, condition), row in found.items():
-        known = name == variant and measure in MEASURES and condition != ""
-        if known and _is_told(row) and not _is_told(found[name, measure, ""]):
-            stress = condition.split("/")[1].replace("_", " ")
-            yield f"{MEASURES[measure].split(',')[0]} {_difference(row, measure)}, {stress}"
+    for row in _told("ablation", variant):
+        if row["condition"] and row["measure"] in MEASURES:
+            stress = row["condition"].split("/")[1].replace("_", " ")
+            yield f"{MEASURES[row['measure']].split(',')[0]} {_difference(row, row['measure'])}, {stress}"
 
 
 def _is_told(row: dict[str, Any]) -> bool:
@@ -161,7 +210,7 @@ def _difference(row: dict[str, Any], measure: str) -> str:
     """A difference of a measure with its interval, bold where it is told from 0; empty where none."""
     if row["value"] is None or row["low"] is None:
         return ""
-    points = 1 if measure == "to_repair_s" else 100
+    points = 1 if measure in ("to_repair_s", "cpu_ms") else 100
     value, low, high = (exp(row[end]) if measure == "log_ate" else points * row[end] for end in ENDS)
     words = f"{value:.2g} [{low:.2g}, {high:.2g}]"
     return f"**{words}**" if _is_told(row) else words

@@ -1,6 +1,7 @@
 """Tables of measured figures, made from the published records in this folder."""
 
 import json
+import textwrap
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -25,6 +26,11 @@ def table(header: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> str:
     kept = [k for k in range(len(header)) if any(row[k] for row in cells)]
     lines = [[header[k] for k in kept], ["---"] * len(kept), *([row[k] for k in kept] for row in cells)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def bullets(lines: Iterable[str]) -> list[str]:
+    """Items of a Markdown list, in short lines."""
+    return [textwrap.fill(line, 116, initial_indent="- ", subsequent_indent="  ") for line in lines]
 
 
 def eq1_rescuable() -> str:

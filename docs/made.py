@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Mapping
 
 import typer
-from figures import table
+from figures import bullets, table
 from pydantic import BaseModel
 from typer.cli import get_docs_for_click
 
@@ -48,15 +48,11 @@ def what_stays_different() -> str:
     return "\n".join(
         [
             f"**Of `orbslam`** ({count} settings are published):\n",
-            *_bullets([*base, *orbslam.STAYS_IN_CODE]),
+            *bullets([*base, *orbslam.STAYS_IN_CODE]),
             "\n**Of `paper` and `paper+`, beside that:**\n",
-            *_bullets([*dual, *paper.STAYS_IN_CODE]),
+            *bullets([*dual, *paper.STAYS_IN_CODE]),
         ]
     )
-
-
-def _bullets(lines: list[str]) -> list[str]:
-    return [textwrap.fill(line, WIDTH, initial_indent="- ", subsequent_indent="  ") for line in lines]
 
 
 def stress_kinds() -> str:
