@@ -148,6 +148,10 @@ class Frame:
         reference_keyframe: the keyframe that shares most map points, -1 while unknown.
         T_cam_reference: (4, 4) pose relative to that keyframe, NaN while unknown.
         noise: standard deviation of its matched keypoints over the usual one, at least 1.
+        noise2: variance of them over what the view says.
+        covariance: (6, 6) of the pose, as a twist from the left; infinite where it is not determined.
+        drawn: by how many standard deviations the pose moves without the cell of the image that tells most.
+        area: (N,) of the window in which each keypoint was found, px²; 0 for the whole image.
     """
 
     features: FrameFeatures
@@ -156,9 +160,14 @@ class Frame:
     reference_keyframe: int = -1
     T_cam_reference: np.ndarray = field(default_factory=lambda: np.full((4, 4), np.nan))
     noise: float = 1.0
+    noise2: float = 1.0
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
+    drawn: float = 0.0
+    area: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         self.point = np.full(len(self.features), -1, np.int32)
+        self.area = np.zeros(len(self.features))
 
     def copy(self) -> "Frame":
         """Return an independent copy; the features, which never change, are shared."""
@@ -168,6 +177,10 @@ class Frame:
             self.reference_keyframe,
             self.T_cam_reference.copy(),
             self.noise,
+            self.noise2,
+            self.covariance.copy(),
+            self.drawn,
         )
         copied.point[:] = self.point
+        copied.area = self.area.copy()
         return copied

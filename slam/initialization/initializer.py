@@ -212,7 +212,7 @@ def _build_map(
         np.ascontiguousarray(points),
         rows_1.astype(np.int32),
         (rows_2 + start_2).astype(np.int32),
-        view.scale,
+        view,
     )
     return built
 

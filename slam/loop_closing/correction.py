@@ -90,20 +90,20 @@ def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
         R_new = T[:3, :3] @ R.T
         T[:3, 3] = scale * T[:3, 3] - R_new @ D[:3, 3]
         T[:3, :3] = R_new
-    kernels.refresh_geometries(a, rows, map_.view.scale)
+    kernels.refresh_geometries(a, rows, map_.view)
     return moved
 
 
 def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> None:
     """Fuse the matched points, then match the group with all points of the loop's side."""
-    a, scale = map_.arrays, map_.view.scale
+    a, view = map_.arrays, map_.view
     rows = map_.keypoints(loop.keyframe).start + loop.rows
     for row, point in zip(rows, loop.points, strict=True):
         own = int(a.kp_point[row])
         if own >= 0:
-            kernels.replace_point(a, own, int(point), scale)
+            kernels.replace_point(a, own, int(point), view)
         elif not a.pt_bad[point] and kernels.add_observation(a, int(row), int(point)):
-            kernels.refresh_point(a, int(point), scale)
+            kernels.refresh_point(a, int(point), view)
     for k in group:
         candidates = loop_points.copy()
         kernels.resolve_points(a, candidates)
@@ -148,5 +148,5 @@ def move_map(
     D = by_reference[slot[reference]]
     a.pt_xyz[points] = np.einsum("nij,nj->ni", D[:, :3, :3], a.pt_xyz[points]) + D[:, :3, 3]
     factor = map_.move_keyframes(S)
-    kernels.refresh_geometries(a, points, map_.view.scale)
+    kernels.refresh_geometries(a, points, map_.view)
     return factor

@@ -34,6 +34,8 @@ class MapArrays(NamedTuple):
         pt_xyz: (P, 3) float64, map frame.
         pt_normal: (P, 3) float64 mean unit viewing direction, camera to point.
         pt_descriptor: (P, 4) uint64.
+        pt_covariance: (P, 6) float64 of its position, map frame: xx, xy, xz, yy, yz, zz, as its observations
+            determine it with their poses held, at the noise that the view says.
         pt_max_distance: (P,) float64, distance at which the point appears on level 0.
         pt_bad: (P,) bool.
         pt_head: (P,) int32 first observation, -1 for none.
@@ -59,6 +61,7 @@ class MapArrays(NamedTuple):
     pt_xyz: np.ndarray
     pt_normal: np.ndarray
     pt_descriptor: np.ndarray
+    pt_covariance: np.ndarray
     pt_max_distance: np.ndarray
     pt_bad: np.ndarray
     pt_head: np.ndarray
@@ -148,7 +151,7 @@ def erase_observation(m, keypoint, min_observations):
 
 
 @njit(cache=True, nogil=True)
-def refresh_point(m, point, scale):
+def refresh_point(m, point, view):
     """Recompute a point's descriptor, mean viewing direction and distance from its observations.
 
     Of its latest 24 observers, the one nearest to half of them, itself included, lends its descriptor.
@@ -156,7 +159,7 @@ def refresh_point(m, point, scale):
     count = m.pt_observations[point]
     if count == 0:
         return
-    refresh_geometry(m, point, scale)
+    refresh_geometry(m, point, view)
     rows = np.empty(count, np.int64)
     e = m.pt_head[point]
     for n in range(count):
@@ -166,8 +169,8 @@ def refresh_point(m, point, scale):
 
 
 @njit(cache=True, nogil=True)
-def refresh_geometry(m, point, scale):
-    """Recompute a point's mean viewing direction and distance after it or its observers have moved."""
+def refresh_geometry(m, point, view):
+    """Recompute a point's mean viewing direction, distance and covariance after it or its observers moved."""
     e = m.pt_head[point]
     reference = e
     nx, ny, nz = 0.0, 0.0, 0.0
@@ -186,7 +189,45 @@ def refresh_geometry(m, point, scale):
     m.pt_normal[point, 1] = ny / norm
     m.pt_normal[point, 2] = nz / norm
     dx, dy, dz = _from_camera(m, np.int64(m.kp_keyframe[reference]), point)
-    m.pt_max_distance[point] = np.sqrt(dx * dx + dy * dy + dz * dz) * scale[m.kp_octave[reference]]
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+    m.pt_max_distance[point] = distance * view.scale[m.kp_octave[reference]]
+    _refresh_covariance(m, point, view, distance)
+
+
+@njit(cache=True, nogil=True)
+def _refresh_covariance(m, point, view, distance):
+    """Recompute a point's covariance: the inverse of the information of its observations.
+
+    Before any, its position is known to a distance: along a ray without parallax that is what is left.
+    """
+    xx, yy, zz = 1.0 / distance**2, 1.0 / distance**2, 1.0 / distance**2
+    xy, xz, yz = 0.0, 0.0, 0.0
+    e = m.pt_head[point]
+    while e >= 0:
+        T = m.kf_T_cam_map[m.kp_keyframe[e]]
+        w = view.inv_sigma2[m.kp_octave[e]]
+        x, y, z = m.pt_xyz[point]
+        z_cam = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if z_cam > 1e-9:
+            u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / z_cam
+            v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / z_cam
+            for f, q, row in ((view.fx, u, 0), (view.fy, v, 1)):
+                a = f * (T[row, 0] - q * T[2, 0]) / z_cam
+                b = f * (T[row, 1] - q * T[2, 1]) / z_cam
+                c = f * (T[row, 2] - q * T[2, 2]) / z_cam
+                xx += w * a * a
+                xy += w * a * b
+                xz += w * a * c
+                yy += w * b * b
+                yz += w * b * c
+                zz += w * c * c
+        e = m.kp_next[e]
+    A, B, C = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    det = xx * A + xy * B + xz * C
+    covariance = m.pt_covariance[point]
+    covariance[0], covariance[1], covariance[2] = A / det, B / det, C / det
+    covariance[3], covariance[4] = (xx * zz - xz * xz) / det, (xy * xz - xx * yz) / det
+    covariance[5] = (xx * yy - xy * xy) / det
 
 
 @njit(cache=True, nogil=True)
@@ -222,7 +263,7 @@ def _most_central(m, rows):
 
 
 @njit(cache=True, nogil=True)
-def replace_point(m, old, new, scale):
+def replace_point(m, old, new, view):
     """Move every observation of ``old`` to ``new`` and drop ``old``."""
     if old == new or m.pt_bad[old] or m.pt_bad[new]:
         return
@@ -234,19 +275,19 @@ def replace_point(m, old, new, scale):
     m.pt_replaced[old] = new
     m.pt_found[new] += m.pt_found[old]
     m.pt_visible[new] += m.pt_visible[old]
-    refresh_point(m, new, scale)
+    refresh_point(m, new, view)
 
 
 @njit(cache=True, nogil=True)
-def replace_points(m, olds, news, scale):
+def replace_points(m, olds, news, view):
     """Apply :func:`replace_point` to index arrays; a new point of -1 keeps the old one."""
     for i in range(len(olds)):
         if news[i] >= 0:
-            replace_point(m, np.int64(olds[i]), np.int64(news[i]), scale)
+            replace_point(m, np.int64(olds[i]), np.int64(news[i]), view)
 
 
 @njit(cache=True, nogil=True)
-def take_over(m, keyframe, points, scale):
+def take_over(m, keyframe, points, view):
     """Add given points per keypoint to a keyframe, -1 for none; join with its own."""
     start = m.kf_start[keyframe]
     for i in range(len(points)):
@@ -255,9 +296,9 @@ def take_over(m, keyframe, points, scale):
             continue
         own = np.int64(m.kp_point[start + i])
         if own >= 0:
-            replace_point(m, p, own, scale)
+            replace_point(m, p, own, view)
         elif add_observation(m, start + i, p):
-            refresh_point(m, p, scale)
+            refresh_point(m, p, view)
 
 
 @njit(cache=True, nogil=True)
@@ -271,7 +312,7 @@ def resolve_points(m, points):
 
 
 @njit(cache=True, nogil=True)
-def create_point(m, point, xyz, keypoint, scale):
+def create_point(m, point, xyz, keypoint, view):
     """Fill row ``point`` with a new point first observed by ``keypoint``."""
     keyframe = m.kp_keyframe[keypoint]
     m.pt_xyz[point] = xyz
@@ -284,33 +325,33 @@ def create_point(m, point, xyz, keypoint, scale):
     m.pt_found[point] = 1
     m.pt_replaced[point] = -1
     add_observation(m, keypoint, point)
-    refresh_point(m, point, scale)
+    refresh_point(m, point, view)
 
 
 @njit(cache=True, nogil=True)
-def attach_frame(m, keyframe, points, scale):
+def attach_frame(m, keyframe, points, view):
     """Add a frame's matches as observations of its new keyframe and refresh the points."""
     start = m.kf_start[keyframe]
     for i in range(len(points)):
         p = np.int64(points[i])
         if p >= 0 and not m.pt_bad[p] and add_observation(m, start + i, p):
-            refresh_point(m, p, scale)
+            refresh_point(m, p, view)
 
 
 @njit(cache=True, nogil=True)
-def refresh_points(m, points, scale):
+def refresh_points(m, points, view):
     """Apply :func:`refresh_point` to an index array."""
     for i in range(len(points)):
         if not m.pt_bad[points[i]]:
-            refresh_point(m, np.int64(points[i]), scale)
+            refresh_point(m, np.int64(points[i]), view)
 
 
 @njit(cache=True, nogil=True)
-def refresh_geometries(m, points, scale):
+def refresh_geometries(m, points, view):
     """Apply :func:`refresh_geometry` to an index array."""
     for i in range(len(points)):
         if not m.pt_bad[points[i]]:
-            refresh_geometry(m, np.int64(points[i]), scale)
+            refresh_geometry(m, np.int64(points[i]), view)
 
 
 @njit(cache=True, nogil=True)
@@ -374,12 +415,12 @@ def median_depth(m, keyframe):
 
 
 @njit(cache=True, nogil=True)
-def create_points(m, first, xyz, keypoints_1, keypoints_2, scale):
+def create_points(m, first, xyz, keypoints_1, keypoints_2, view):
     """Fill rows from ``first`` on with points (n, 3), each observed by two keypoints."""
     for i in range(len(xyz)):
-        create_point(m, first + i, xyz[i], np.int64(keypoints_1[i]), scale)
+        create_point(m, first + i, xyz[i], np.int64(keypoints_1[i]), view)
         add_observation(m, np.int64(keypoints_2[i]), first + i)
-        refresh_point(m, first + i, scale)
+        refresh_point(m, first + i, view)
 
 
 @njit(cache=True, nogil=True)

@@ -58,7 +58,7 @@ def apply_adjustment(map_: Map, adjustment: MapAdjustment) -> None:
     for k, T in after.items():
         a.kf_T_cam_map[k] = T
     kernels.erase_observations(a, _still_observed(a, adjustment), MIN_OBSERVATIONS)
-    kernels.refresh_geometries(a, map_.points(), map_.view.scale)
+    kernels.refresh_geometries(a, map_.points(), map_.view)
 
 
 def _still_observed(a: MapArrays, adjustment: MapAdjustment) -> np.ndarray:

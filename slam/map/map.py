@@ -24,6 +24,7 @@ class Map:
         loop_edges: pairs of keyframes connected by loop closures.
         look_alikes: pairs of keyframes whose places look alike and are two, with the similarity (4, 4) from
             the camera of the first to the camera of the second by their looks.
+        noise2: variance of the keypoints that are found again, over what the view says; frames tell it.
     """
 
     def __init__(self, map_id: int, view: ViewGeometry) -> None:
@@ -34,6 +35,7 @@ class Map:
         self._features: list[FrameFeatures] = []
         self._parent: list[int] = []
         self._T_cam_parent: dict[int, np.ndarray] = {}
+        self.noise2 = 1.0
         self.loop_edges: list[tuple[int, int]] = []
         self.look_alikes: list[tuple[int, int, np.ndarray]] = []
         self.arrays = _allocate(16, 16_384, 8_192, view.cols * view.rows + 1)
@@ -72,7 +74,7 @@ class Map:
         self.n_keyframes += 1
         self._features.append(features)
         self._parent.append(parent)
-        kernels.attach_frame(a, k, frame.point, self.view.scale)
+        kernels.attach_frame(a, k, frame.point, self.view)
         return k
 
     def features(self, keyframe: int) -> FrameFeatures:
@@ -159,7 +161,7 @@ class Map:
     def create_point(self, xyz: np.ndarray, keypoint: int) -> int:
         """Create a point at ``xyz`` (3,) observed by one keypoint; its row."""
         p = self.reserve_points(1)
-        kernels.create_point(self.arrays, p, xyz, keypoint, self.view.scale)
+        kernels.create_point(self.arrays, p, xyz, keypoint, self.view)
         return p
 
     # -- whole map ---------------------------------------------------------------------------------------
@@ -175,6 +177,7 @@ class Map:
         a, K, P = self.arrays, self.n_keyframes, self.n_points
         a.pt_xyz[:P] = scale * a.pt_xyz[:P] @ rotation.T + translation
         a.pt_normal[:P] = a.pt_normal[:P] @ rotation.T
+        a.pt_covariance[:P] = _transformed(a.pt_covariance[:P], scale * rotation)
         a.pt_max_distance[:P] *= scale
         R = a.kf_T_cam_map[:K, :3, :3] @ rotation.T
         t = scale * a.kf_T_cam_map[:K, :3, 3] - R @ translation
@@ -209,6 +212,7 @@ class Map:
         copied = Map.__new__(Map)
         copied.map_id = self.map_id if map_id is None else map_id
         copied.view = self.view
+        copied.noise2 = self.noise2
         copied.n_keyframes, copied.n_points = self.n_keyframes, self.n_points
         copied._features = list(self._features)
         copied._parent = list(self._parent)
@@ -220,7 +224,7 @@ class Map:
 
     def adopt(self, changed: "Map") -> None:
         """Take over the state of a changed copy, which must not be used afterwards."""
-        self.n_keyframes, self.n_points = changed.n_keyframes, changed.n_points
+        self.n_keyframes, self.n_points, self.noise2 = changed.n_keyframes, changed.n_points, changed.noise2
         self._features, self._parent = changed._features, changed._parent
         self._T_cam_parent, self.loop_edges = changed._T_cam_parent, changed.loop_edges
         self.look_alikes = changed.look_alikes
@@ -297,6 +301,7 @@ _ROWS = (
     ("pt_xyz", "pt", ""),
     ("pt_normal", "pt", ""),
     ("pt_descriptor", "pt", ""),
+    ("pt_covariance", "pt", ""),
     ("pt_max_distance", "pt", ""),
     ("pt_bad", "pt", ""),
     ("pt_head", "pt", "kp"),
@@ -307,6 +312,17 @@ _ROWS = (
     ("pt_found", "pt", ""),
     ("pt_replaced", "pt", "pt"),
 )
+
+
+_ROW, _COLUMN = np.array([0, 0, 0, 1, 1, 2]), np.array([0, 1, 2, 1, 2, 2])
+"""Of the six entries of a symmetric matrix (3, 3)."""
+
+
+def _transformed(covariance: np.ndarray, factor: np.ndarray) -> np.ndarray:
+    """Covariances (n, 6) of points that are multiplied by a matrix (3, 3)."""
+    full = np.empty((len(covariance), 3, 3))
+    full[:, _ROW, _COLUMN] = full[:, _COLUMN, _ROW] = covariance
+    return (factor @ full @ factor.T)[:, _ROW, _COLUMN]
 
 
 def _capacity(have: int, need: int) -> int:
@@ -330,6 +346,7 @@ def _allocate(keyframes: int, keypoints: int, points: int, cells: int) -> MapArr
         pt_xyz=np.zeros((points, 3)),
         pt_normal=np.zeros((points, 3)),
         pt_descriptor=np.zeros((points, 4), np.uint64),
+        pt_covariance=np.zeros((points, 6)),
         pt_max_distance=np.zeros(points),
         pt_bad=np.ones(points, np.bool_),
         pt_head=np.full(points, -1, np.int32),

@@ -4,9 +4,13 @@ Second neighbours are taken as in ORB-SLAM's public code.
 """
 
 from contextlib import AbstractContextManager, nullcontext
+from typing import Literal
 
 import numpy as np
 
+from dslab.slam.association._kernels import density_of
+from dslab.slam.association._mapping_kernels import fuse_points, points_along_rays
+from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import DEPTHS, setting, settings
@@ -22,6 +26,8 @@ from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
 class LocalMappingConfig:
     """Settings of local mapping."""
 
+    association: Literal["own", "derived"] = setting("own", "how keypoints of keyframes are matched")
+    max_depth_error: float = setting(0.15, "largest standard deviation of a new derived depth over itself")
     neighbours: int = setting(10, "covisible keyframes used for triangulation and fusion")
     min_baseline: float = setting(0.01, "least baseline for triangulation", unit=DEPTHS)
     min_depth: float = setting(0.1, "least depth of a new point", unit=DEPTHS)
@@ -35,6 +41,10 @@ class LocalMappingConfig:
     )
     min_found_share: float = setting(0.25, "a young point found in less is culled", le=1)
     redundancy: float = setting(0.9, "share of points well seen elsewhere that culls a keyframe", le=1)
+
+
+_SURE = 0.95
+"""Posterior of a match that the map is built on: a wrong one stays."""
 
 
 class LocalMapper:
@@ -98,14 +108,14 @@ class LocalMapper:
             return
         result, good = local_bundle_adjust(
             T_cam_map, fixed, xyz, obs_camera, obs_point,
-            a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]],
+            a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]] / m.noise2,
             view.fx, view.fy, view.cx, view.cy, self.config.robust_iterations,
         )  # fmt: skip
         with self.lock:
             a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
             a.pt_xyz[points] = result.points
             kernels.erase_observations(a, obs_keypoint[~good], MIN_OBSERVATIONS)
-            kernels.refresh_geometries(a, points, view.scale)
+            kernels.refresh_geometries(a, points, view)
 
     @property
     def young(self) -> np.ndarray:
@@ -154,12 +164,18 @@ class LocalMapper:
         )
         if depth <= 0 or baseline < config.min_baseline * depth:
             return np.empty(0, np.int64)
-        cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
-        own, theirs, xyz = new_points(
-            a, m.view, keyframe, other, nearest, expected, cosine, config.descriptor_ratio
-        )
+        if config.association == "derived":
+            own, theirs, xyz = points_along_rays(
+                a, m.view, keyframe, other, m.noise2, nearest, expected, config.max_depth_error,
+                self._density(other), odds_by_distance(), _SURE,
+            )  # fmt: skip
+        else:
+            cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
+            own, theirs, xyz = new_points(
+                a, m.view, keyframe, other, nearest, expected, cosine, config.descriptor_ratio
+            )
         first = m.reserve_points(len(own))
-        kernels.create_points(m.arrays, first, xyz, own, theirs, m.view.scale)
+        kernels.create_points(m.arrays, first, xyz, own, theirs, m.view)
         return np.arange(first, first + len(own))
 
     def _fuse_neighbours(self, keyframe: int) -> None:
@@ -171,14 +187,28 @@ class LocalMapper:
         own = m.observed_points(keyframe)
         for target in targets:
             with self.lock:
-                fuse_into_keyframe(a, m.view, target, own[own >= 0], 3.0)
+                self._fuse(target, own[own >= 0])
         with self.lock:
             theirs = [m.observed_points(target) for target in targets]
             if theirs:
                 candidates = np.unique(np.concatenate(theirs))
-                fuse_into_keyframe(a, m.view, keyframe, candidates[candidates >= 0], 3.0)
+                self._fuse(keyframe, candidates[candidates >= 0])
             own = m.observed_points(keyframe)
-            kernels.refresh_points(a, own[own >= 0], m.view.scale)
+            kernels.refresh_points(a, own[own >= 0], m.view)
+
+    def _fuse(self, keyframe: int, candidates: np.ndarray) -> None:
+        m = self.map
+        if self.config.association == "derived":
+            density, odds = self._density(keyframe), odds_by_distance()
+            fuse_points(m.arrays, m.view, keyframe, candidates, m.noise2, density, odds, _SURE)
+        else:
+            fuse_into_keyframe(m.arrays, m.view, keyframe, candidates, 3.0)
+
+    def _density(self, keyframe: int) -> np.ndarray:
+        """(levels,) keypoints per px² of every octave of a keyframe."""
+        m, view = self.map, self.map.view
+        image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
+        return density_of(m.arrays.kp_octave[m.keypoints(keyframe)], len(view.scale), image)
 
     def _cull_keyframes(self, keyframe: int) -> None:
         """Cull neighbours whose points are nearly all seen as well by three others."""

@@ -345,10 +345,10 @@ def fuse_into_keyframe(m, view, keyframe, candidates, widen):
         other = np.int64(m.kp_point[e])
         if other < 0:
             if add_observation(m, e, p):
-                refresh_point(m, p, view.scale)
+                refresh_point(m, p, view)
         elif m.pt_observations[other] > m.pt_observations[p]:
-            replace_point(m, p, other, view.scale)
+            replace_point(m, p, other, view)
         else:
-            replace_point(m, other, p, view.scale)
+            replace_point(m, other, p, view)
         done += 1
     return done

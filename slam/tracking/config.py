@@ -6,7 +6,7 @@ from dslab.slam.core.settings import setting, settings
 from dslab.slam.places.evidence import EvidenceBar
 from dslab.slam.tracking.doubt import DoubtConfig
 
-Rule = Literal["own", "published"]
+Rule = Literal["own", "published", "derived"]
 """By which a tracker decides: ours, or ORB-SLAM's as published."""
 
 
@@ -45,6 +45,7 @@ class TrackingConfig:
     )
     min_inliers: int = setting(30, "map matches that survive pose optimisation, below which tracking is lost")
     cautious_inliers: int = setting(50, "min_inliers behind passed-over frames, whose pose nothing supports")
+    max_uncertainty: float = setting(0.05, "rad or median depths by which a derived pose may be unknown")
     min_share: float = setting(0.0, "share of inliers below which a frame is rejected", le=1)
     local_map_keyframes: int = setting(80, "most keyframes of the local map")
     max_noise: float = setting(2.0, "how many times orb.noise_px all corners of a frame may be off", ge=1)

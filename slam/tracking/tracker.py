@@ -10,6 +10,7 @@ from dslab.slam.core.timing import StageTimer
 from dslab.slam.map._map_kernels import resolve_points
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.pose import direction_deviation
+from dslab.slam.tracking.belief import MotionBelief
 from dslab.slam.tracking.config import TrackingConfig
 from dslab.slam.tracking.doubt import Doubt
 from dslab.slam.tracking.local_map import local_map, match_local, median_depth
@@ -35,6 +36,7 @@ class Tracker:
         last: the last tracked frame.
         velocity: T_cam_last of the last step, None where unknown.
         twist: (6,) how the scene moves past the camera, see ``twist_between``; 0 where unknown.
+        motion: how far predicted poses may be off.
         doubt: of the motion since the start.
         passed_over: number of frames without a pose since the last tracked one.
         last_keyframe: the last frame that has become a keyframe, or will.
@@ -49,6 +51,7 @@ class Tracker:
         self.last: Frame | None = None
         self.velocity: np.ndarray | None = None
         self.twist = np.zeros(6)
+        self.motion = MotionBelief()
         self.doubt = Doubt(config.doubt)
         self._in_motion = False  # the velocity is that of a tracked step
         self.last_keyframe: FrameFeatures | None = None
@@ -200,6 +203,7 @@ class Tracker:
             self.map.arrays.pt_found[frame.point[frame.point >= 0]] += 1
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(self.map.T_cam_map(frame.reference_keyframe))
         if not self.passed_over:
+            self.rules.search.learn(self, frame, last)
             self._note_motion(frame, last)
             if (frame.point >= 0).any():
                 self.twist = twist_between(last, frame, median_depth(frame, self.map))

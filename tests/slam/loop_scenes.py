@@ -129,5 +129,5 @@ def _points_of(built, rows, all_ids, D, xyz):
         points[world] = built.create_point(D[k][:3, :3] @ xyz[world] + D[k][:3, 3], keypoints[0])
         for row in keypoints[1:]:
             kernels.add_observation(built.arrays, row, points[world])
-        kernels.refresh_point(built.arrays, points[world], VIEW.scale)
+        kernels.refresh_point(built.arrays, points[world], VIEW)
     return points

@@ -210,7 +210,7 @@ class PointWorld:
             p = built.create_point(self.xyz[i] + noise * rng.normal(size=3), int(rows[0]))
             for row in rows[1:]:
                 kernels.add_observation(built.arrays, int(row), p)
-            kernels.refresh_point(built.arrays, p, VIEW.scale)
+            kernels.refresh_point(built.arrays, p, VIEW)
             point_of[i] = p
         return built, point_of
 

@@ -82,10 +82,9 @@ def fuse(
     for k in range(keyframes, old.n_keyframes):
         if old.parent(k) < 0:
             old.set_parent(k, accepted.old_keyframe)
-    scale = old.view.scale
     for alignment in reversed(alignments):
         theirs = (alignment.new_points + points).astype(np.int32)
-        kernels.replace_points(old.arrays, theirs, alignment.old_points, scale)
+        kernels.replace_points(old.arrays, theirs, alignment.old_points, old.view)
     factor = _optimize_seam(old, alignments, keyframes)
     _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
     is_new = ~old.arrays.kf_bad[: old.n_keyframes] & (np.arange(old.n_keyframes) >= keyframes)

@@ -256,7 +256,7 @@ def _join_points(grown: Map, offset: int, points: int) -> None:
     originals = np.arange(points, dtype=np.int32)
     kernels.resolve_points(grown.arrays, originals)
     copies = np.arange(offset, offset + points, dtype=np.int32)
-    kernels.replace_points(grown.arrays, copies, originals, grown.view.scale)
+    kernels.replace_points(grown.arrays, copies, originals, grown.view)
 
 
 def _move_observations(grown: Map, copied: int, original: int) -> None:
@@ -264,7 +264,7 @@ def _move_observations(grown: Map, copied: int, original: int) -> None:
 
     If both observe a point in the same keypoint, the two points are joined.
     """
-    kernels.take_over(grown.arrays, original, grown.observed_points(copied).copy(), grown.view.scale)
+    kernels.take_over(grown.arrays, original, grown.observed_points(copied).copy(), grown.view)
 
 
 def _release_observations(grown: Map, copied: int) -> None:

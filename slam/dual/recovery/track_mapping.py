@@ -86,7 +86,7 @@ class TrackMapper(LocalMapper):
         a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
         a.pt_xyz[points] = result.points[: len(points)]
         kernels.erase_observations(a, obs_keypoint[~good[:count]], MIN_OBSERVATIONS)
-        kernels.refresh_geometries(a, points, view.scale)
+        kernels.refresh_geometries(a, points, view)
         xyz = result.points[len(points) :][tracks.point]
         for c in np.unique(tracks.camera):
             own, seen = tracks.camera == c, self._views[int(cameras[c])]

@@ -10,6 +10,7 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame, FrameFeatures
 from dslab.slam.map.map import Map
+from dslab.slam.tracking.belief import MotionBelief
 from dslab.slam.tracking.config import TrackingConfig
 
 
@@ -23,6 +24,7 @@ class Tracking(Protocol):
     passed_over: int
     last_keyframe: FrameFeatures | None
     resumed: FrameFeatures | None
+    motion: MotionBelief
 
     def optimize(self, frame: Frame) -> int:
         """Refine a frame's pose by its matches, by the gate; number of inliers."""
@@ -39,6 +41,9 @@ class Search(ABC):
     @abstractmethod
     def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
         """Match a frame with the map around its pose; the keyframe that shares most with it, -1 for none."""
+
+    def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
+        """Learn from a frame that counts as tracked, before the velocity is its own."""
 
 
 class Gate(ABC):

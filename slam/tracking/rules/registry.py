@@ -1,7 +1,7 @@
 """The rules of tracking by the names that settings give them."""
 
 from dslab.slam.tracking.config import TrackingConfig
-from dslab.slam.tracking.rules import own, published
+from dslab.slam.tracking.rules import derived, own, published
 from dslab.slam.tracking.rules.interface import Rules
 
 OWN = Rules(own.OwnSearch(), own.OwnGate(), own.OwnLoss(), own.OwnKeyframeChoice())
@@ -11,7 +11,10 @@ PUBLISHED = Rules(
     published.PublishedLoss(),
     published.PublishedKeyframeChoice(),
 )
-_BY_NAME = {"own": OWN, "published": PUBLISHED}
+DERIVED = Rules(
+    derived.DerivedSearch(), derived.DerivedGate(), derived.DerivedLoss(), own.OwnKeyframeChoice()
+)
+_BY_NAME = {"own": OWN, "published": PUBLISHED, "derived": DERIVED}
 
 
 def rules_of(config: TrackingConfig) -> Rules:

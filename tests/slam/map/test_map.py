@@ -21,7 +21,7 @@ def test_invariants_hold_after_random_edits():
         if edit == 0:
             kernels.remove_point(m.arrays, rng.choice(good))
         elif edit == 1:
-            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False).astype(np.int32), VIEW.scale)
+            kernels.replace_point(m.arrays, *rng.choice(good, 2, replace=False).astype(np.int32), VIEW)
         elif edit == 2:
             rows = np.flatnonzero(m.arrays.kp_point[: m.arrays.kf_start[m.n_keyframes]] >= 0)
             kernels.erase_observation(m.arrays, rng.choice(rows), MIN_OBSERVATIONS)
@@ -50,8 +50,8 @@ def test_a_keyframe_observes_a_point_once():
 def test_replacement_is_followed_by_frames():
     m = random_map(np.random.default_rng(4))
     a, b, c, d = m.points()[:4].astype(np.int32)
-    kernels.replace_point(m.arrays, a, b, VIEW.scale)
-    kernels.replace_point(m.arrays, b, c, VIEW.scale)
+    kernels.replace_point(m.arrays, a, b, VIEW)
+    kernels.replace_point(m.arrays, b, c, VIEW)
     kernels.remove_point(m.arrays, d)
     frame_points = np.array([a, b, c, d, -1], np.int32)
     kernels.resolve_points(m.arrays, frame_points)
@@ -126,7 +126,7 @@ def test_the_representative_descriptor_has_the_least_median_distance():
         while e >= 0:
             rows.append(e)
             e = int(m.arrays.kp_next[e])
-        kernels.refresh_point(m.arrays, int(p), VIEW.scale)
+        kernels.refresh_point(m.arrays, int(p), VIEW)
         d = m.arrays.kp_descriptor[rows]
         distance = np.bitwise_count(d[:, None] ^ d[None]).sum(-1)
         medians = np.sort(distance, 1)[:, (len(rows) - 1) // 2]
@@ -145,10 +145,10 @@ def test_replacing_points_together_equals_one_by_one():
     one_by_one = at_once.copy()
     olds = rng.choice(at_once.points(), 40).astype(np.int32)
     news = np.where(rng.random(40) < 0.2, -1, rng.choice(at_once.points(), 40)).astype(np.int32)
-    kernels.replace_points(at_once.arrays, olds, news, VIEW.scale)
+    kernels.replace_points(at_once.arrays, olds, news, VIEW)
     for old, new in zip(olds, news, strict=True):
         if new >= 0:
-            kernels.replace_point(one_by_one.arrays, old, new, VIEW.scale)
+            kernels.replace_point(one_by_one.arrays, old, new, VIEW)
     assert arrays_of(at_once) == arrays_of(one_by_one)
     check_map(at_once)
 
@@ -161,16 +161,16 @@ def test_taking_over_points_together_equals_one_by_one():
     keyframe, start = 2, at_once.keypoints(2).start
     count = len(at_once.observed_points(keyframe))
     points = np.where(rng.random(count) < 0.5, -1, rng.choice(at_once.points(), count)).astype(np.int32)
-    kernels.take_over(at_once.arrays, keyframe, points, VIEW.scale)
+    kernels.take_over(at_once.arrays, keyframe, points, VIEW)
     own = one_by_one.observed_points(keyframe)
     joined = 0
     for row in np.flatnonzero(points >= 0).tolist():
         point = points[row]
         if own[row] >= 0:
             joined += 1
-            kernels.replace_point(one_by_one.arrays, point, own[row], VIEW.scale)
+            kernels.replace_point(one_by_one.arrays, point, own[row], VIEW)
         elif kernels.add_observation(one_by_one.arrays, start + row, point):
-            kernels.refresh_point(one_by_one.arrays, point, VIEW.scale)
+            kernels.refresh_point(one_by_one.arrays, point, VIEW)
     assert joined > 3
     assert arrays_of(at_once) == arrays_of(one_by_one)
     check_map(at_once)

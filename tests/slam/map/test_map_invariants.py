@@ -14,7 +14,7 @@ def sound():
 
     m = random_map(np.random.default_rng(11))
     m.cull_keyframe(3)
-    kernels.replace_point(m.arrays, *m.points()[:2].astype(np.int32), m.view.scale)
+    kernels.replace_point(m.arrays, *m.points()[:2].astype(np.int32), m.view)
     check_map(m)
     return m
 

@@ -1,0 +1,198 @@
+"""Kernels of association: windows from covariances, and the posterior of every pair.
+
+A point that is in view is seen by one keypoint at most. The odds that it is keypoint i, against that none of
+the keypoints shows it, are
+
+    P_D N(e_i; 0, S) P(octave_i) P(d_i | it) / (λ P(d_i | other)) / (1 - P_D),
+
+with the error e_i of the keypoint from the predicted pixel, its covariance S, the density λ of the keypoints
+of its octave and the distance d_i of descriptors: probabilistic data association.
+
+Source: Bar-Shalom, Daum, Huang, "The probabilistic data association filter", IEEE Control Systems Magazine
+29(6), 2009, without its gate's probability, which is .99 here.
+"""
+
+import numpy as np
+from numba import njit
+
+from dslab.slam.features._hamming import hamming256
+from dslab.slam.matching.guided import in_view, project
+
+CHI2_99 = 9.21
+"""Of two dimensions: the window holds 99 % of the right keypoints."""
+_OCTAVE_SPREAD = 0.7
+"""Standard deviation of an octave about the predicted one: of rounding, and of the corner's own scale."""
+_MIN_COSINE = 0.5
+"""Between the direction of view and a point's mean one: Mur-Artal et al., 2015, V-D."""
+
+
+@njit(cache=True, nogil=True)
+def density_of(octave, levels, area):
+    """(levels,) keypoints per px² of every octave, of an image of so many px²; at least one in it."""
+    count = np.ones(levels)
+    for o in octave:
+        count[o] += 1.0
+    return count / area
+
+
+@njit(cache=True, nogil=True)
+def spread_of_pixel(view, T, xyz, point_covariance, pose_covariance):
+    """Where a point is expected, and the covariance of that: (u, v, z, uu, uv, vv); z <= 0 behind the camera.
+
+    Args:
+        view: ViewGeometry.
+        T: (4, 4) pose.
+        xyz: (3,) point.
+        point_covariance: (6,) of it, map frame.
+        pose_covariance: (6, 6) of a twist from the left.
+    """
+    u, v, z = project(T, view, xyz)
+    if z <= 0:
+        return 0.0, 0.0, -1.0, 0.0, 0.0, 0.0
+    x, y = (u - view.cx) / view.fx, (v - view.cy) / view.fy
+    fu, fv = view.fx / z, view.fy / z
+    Ju = np.array([fu, 0.0, -fu * x, -view.fx * x * y, view.fx * (1.0 + x * x), -view.fx * y])
+    Jv = np.array([0.0, fv, -fv * y, -view.fy * (1.0 + y * y), view.fy * x * y, view.fy * x])
+    uu, uv, vv = 0.0, 0.0, 0.0
+    for r in range(6):
+        a, b = 0.0, 0.0
+        for c in range(6):
+            a += pose_covariance[r, c] * Ju[c]
+            b += pose_covariance[r, c] * Jv[c]
+        uu += Ju[r] * a
+        uv += Ju[r] * b
+        vv += Jv[r] * b
+    p = point_covariance
+    a0, a1, a2 = fu * (T[0, 0] - x * T[2, 0]), fu * (T[0, 1] - x * T[2, 1]), fu * (T[0, 2] - x * T[2, 2])
+    b0, b1, b2 = fv * (T[1, 0] - y * T[2, 0]), fv * (T[1, 1] - y * T[2, 1]), fv * (T[1, 2] - y * T[2, 2])
+    c0, c1, c2 = (
+        p[0] * a0 + p[1] * a1 + p[2] * a2,
+        p[1] * a0 + p[3] * a1 + p[4] * a2,
+        p[2] * a0 + p[4] * a1 + p[5] * a2,
+    )
+    uu += a0 * c0 + a1 * c1 + a2 * c2
+    uv += b0 * c0 + b1 * c1 + b2 * c2
+    c0, c1, c2 = (
+        p[0] * b0 + p[1] * b1 + p[2] * b2,
+        p[1] * b0 + p[3] * b1 + p[4] * b2,
+        p[2] * b0 + p[4] * b1 + p[5] * b2,
+    )
+    vv += b0 * c0 + b1 * c1 + b2 * c2
+    return u, v, z, uu, uv, vv
+
+
+@njit(cache=True, nogil=True)
+def likeliest(
+    view, xy, octave, descriptors, cell_start, first, u, v, uu, uv, vv, noise2, level, density, detected,
+    query, odds,
+):  # fmt: skip
+    """The keypoint that most likely shows a point, and the odds of it against all else.
+
+    Args:
+        view: ViewGeometry.
+        xy, octave, descriptors, cell_start: keypoints; the frame's rows start at ``first``.
+        first: see there.
+        u, v: predicted pixel.
+        uu, uv, vv: its covariance, px², without the keypoint's noise.
+        noise2: variance of a keypoint over what the view says.
+        level: predicted octave, a fraction.
+        density: (levels,) keypoints per px² of every octave.
+        detected: chance that the point is detected where it is.
+        query: (4,) uint64 its descriptor.
+        odds: (257,) by distance of descriptors.
+
+    Returns:
+        (row within the frame, -1 for none; posterior that it shows the point; area of its window, px²).
+    """
+    nearest = min(max(int(level + 0.5), 0), len(view.scale) - 1)
+    own = noise2 / view.inv_sigma2[nearest]
+    half_u, half_v = np.sqrt(CHI2_99 * (uu + own)), np.sqrt(CHI2_99 * (vv + own))
+    c0 = max(int((u - half_u - view.x_min) / view.cell), 0)
+    c1 = min(int((u + half_u - view.x_min) / view.cell), view.cols - 1)
+    r0 = max(int((v - half_v - view.y_min) / view.cell), 0)
+    r1 = min(int((v + half_v - view.y_min) / view.cell), view.rows - 1)
+    total, best, found, found_area = 1.0 - detected, 0.0, -1, 0.0
+    if c0 > c1 or r0 > r1:
+        return -1, 0.0, 0.0
+    for r in range(r0, r1 + 1):
+        for i in range(cell_start[r * view.cols + c0], cell_start[r * view.cols + c1 + 1]):
+            e = first + i
+            apart = octave[e] - level
+            if abs(apart) > 3.0 * _OCTAVE_SPREAD:
+                continue
+            du, dv = xy[e, 0] - u, xy[e, 1] - v
+            if abs(du) > half_u or abs(dv) > half_v:
+                continue
+            noise = noise2 / view.inv_sigma2[octave[e]]
+            a, c = uu + noise, vv + noise
+            det = a * c - uv * uv
+            chi2 = (c * du * du - 2.0 * uv * du * dv + a * dv * dv) / det
+            if chi2 > CHI2_99:
+                continue
+            area = 2.0 * np.pi * np.sqrt(det)
+            of_octave = 0.3989 / _OCTAVE_SPREAD * np.exp(-0.5 * (apart / _OCTAVE_SPREAD) ** 2)
+            likely = detected * np.exp(-0.5 * chi2) * of_octave / (area * density[octave[e]])
+            likely *= odds[hamming256(query, descriptors[e])]
+            total += likely
+            if likely > best:
+                best, found, found_area = likely, i, 0.5 * CHI2_99 * area
+    return found, best / total, found_area
+
+
+@njit(cache=True, nogil=True)
+def associate(
+    m, view, T_cam_map, pose_covariance, noise2, candidates, xy, octave, descriptors, cell_start, density,
+    odds, least, observing,
+):  # fmt: skip
+    """Find points of the map in a frame.
+
+    Args:
+        m: MapArrays.
+        view: ViewGeometry.
+        T_cam_map: (4, 4) predicted pose.
+        pose_covariance: (6, 6) of a twist from the left.
+        noise2: variance of the keypoints over what the view says.
+        candidates: (Q,) int32 points.
+        xy, octave, descriptors, cell_start: the frame.
+        density: (levels,) keypoints per px² of every octave.
+        odds: (257,) by distance of descriptors.
+        least: posterior from which a pair is taken.
+        observing: count the points in view as visible.
+
+    Returns:
+        point (N,) int32 per keypoint, -1 for none; area (N,) of the window in which it was found, px².
+    """
+    n = len(octave)
+    point = np.full(n, -1, np.int32)
+    area = np.zeros(n)
+    held = np.zeros(n)
+    ox, oy, oz = 0.0, 0.0, 0.0
+    for r in range(3):
+        t = T_cam_map[r, 3]
+        ox -= T_cam_map[r, 0] * t
+        oy -= T_cam_map[r, 1] * t
+        oz -= T_cam_map[r, 2] * t
+    for p in candidates:
+        if p < 0 or m.pt_bad[p]:
+            continue
+        u, v, z = project(T_cam_map, view, m.pt_xyz[p])
+        if z <= 0 or not in_view(view, u, v):
+            continue
+        dx, dy, dz = m.pt_xyz[p, 0] - ox, m.pt_xyz[p, 1] - oy, m.pt_xyz[p, 2] - oz
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+        along = dx * m.pt_normal[p, 0] + dy * m.pt_normal[p, 1] + dz * m.pt_normal[p, 2]
+        level = np.log(m.pt_max_distance[p] / distance) / view.log_scale
+        if along < _MIN_COSINE * distance or not -1.5 <= level <= len(view.scale) + 0.5:
+            continue
+        m.pt_visible[p] += observing
+        u, v, z, uu, uv, vv = spread_of_pixel(
+            view, T_cam_map, m.pt_xyz[p], m.pt_covariance[p] * noise2, pose_covariance
+        )
+        detected = (m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0)
+        i, posterior, window = likeliest(
+            view, xy, octave, descriptors, cell_start, np.int64(0), u, v, uu, uv, vv, noise2, level, density,
+            min(detected, 0.99), m.pt_descriptor[p], odds,
+        )  # fmt: skip
+        if i >= 0 and posterior >= least and posterior > held[i]:
+            point[i], area[i], held[i] = p, window, posterior
+    return point, area

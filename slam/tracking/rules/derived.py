@@ -1,0 +1,162 @@
+"""Rules of tracking that follow from covariances: of the pose, of the points, of the keypoints.
+
+Where a point is sought, whether a keypoint shows it, at which noise, and whether the pose is known: all from
+one model. docs/notebook/base-decides.md has the formulas and what was measured.
+"""
+
+import numpy as np
+
+from dslab.slam.association._kernels import associate, density_of
+from dslab.slam.association.descriptors import odds_by_distance
+from dslab.slam.core.frame import Frame
+from dslab.slam.optimization.uncertain_pose import uncertain_pose
+from dslab.slam.tracking.local_map import local_map, median_depth
+from dslab.slam.tracking.rules.interface import Gate, Search, Tracking
+from dslab.slam.tracking.rules.own import OwnLoss, track_reference_keyframe
+
+_FIRST = 100
+"""Points of the last frame that are matched first: enough for the pose that the others are sought by."""
+_WIDER = 1.0, 9.0, 81.0
+"""Factors of the predicted variance that are tried: a model of motion has heavier tails than a normal."""
+_LIKELIER_THAN_NOT = 0.5
+_LEAST_RIGHT, _LEAST_CELLS = 12.0, 3
+"""Fewer matches tell no pose, whatever their covariance says: chance fits a few."""
+_CELLS = 8
+_MOST_DRAWN = 4.0
+"""Standard deviations by which a pose may move without the cell that tells most."""
+_NOISE_FRAMES = 100
+"""That the noise of a sequence is the mean of."""
+
+
+class DerivedSearch(Search):
+    """Windows of 99 % by the covariances of pose, point and keypoint; matches by their posterior."""
+
+    def predict(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
+        """Find a first pose by some points of the last frame; without a motion by the reference keyframe."""
+        config = tracking.config
+        bounds = config.reference_ratio, config.min_reference_matches, config.min_motion_inliers
+        return self._by_motion(tracking, frame, last) or track_reference_keyframe(
+            tracking, frame, last, *bounds
+        )
+
+    def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
+        """Match a frame anew with its local map, as its first pose and that one's covariance say."""
+        keyframes, points = local_map(tracking.map, frame.point, tracking.config.local_map_keyframes)
+        if not len(keyframes):
+            return -1
+        _match(tracking, frame, points, frame.covariance, tracking.observing)
+        return int(keyframes[0])
+
+    def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
+        """Note how far the motion model was off, and the noise."""
+        m = tracking.map
+        if tracking.velocity is not None and (frame.point >= 0).any():
+            tracking.motion.note(tracking.velocity @ last.T_cam_map, frame.T_cam_map, median_depth(frame, m))
+        if tracking.observing:
+            m.noise2 += (frame.noise2 - m.noise2) / _NOISE_FRAMES
+
+    def _by_motion(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
+        if tracking.velocity is None:
+            return False
+        m = tracking.map
+        steps = tracking.passed_over + 1
+        start = np.ascontiguousarray(tracking.velocity @ last.T_cam_map)
+        known = last.point[last.point >= 0]
+        if not len(known):
+            return False
+        if steps > 1:
+            _, known = local_map(m, last.point, tracking.config.local_map_keyframes)
+        else:
+            known = known[:: max(len(known) // _FIRST, 1)]
+        spread = tracking.motion.predicted(last.covariance, steps, _depth(m, known, start))
+        for wider in _WIDER:
+            frame.T_cam_map = start.copy()
+            _match(tracking, frame, known, wider * spread, False)
+            if _right(tracking, frame, np.linalg.inv(wider * spread)) >= _LEAST_RIGHT:
+                return True
+        return False
+
+
+class DerivedGate(Gate):
+    """Pose, noise and right matches by expectation maximisation."""
+
+    def optimize(self, tracking: Tracking, frame: Frame) -> int:
+        """Refine a frame's pose; matches that are more likely wrong than right are taken from it."""
+        return _right(tracking, frame, np.zeros((6, 6)))
+
+
+class DerivedLoss(OwnLoss):
+    """The pose is not known, hangs on one place of the image, or rests on too few points."""
+
+    def least_inliers(self, tracking: Tracking, frame: Frame, usual: int) -> int:
+        """A floor, in place of ``usual``."""
+        return int(_LEAST_RIGHT)
+
+    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int, matches: int) -> str:
+        """Why a frame counts as lost."""
+        if inliers < _LEAST_RIGHT or _cells(tracking, frame) < _LEAST_CELLS:
+            return "too_few_local_map_inliers"
+        if uncertainty(tracking, frame) > tracking.config.max_uncertainty:
+            return "uncertain_pose"
+        if frame.drawn > _MOST_DRAWN:
+            return "one_place_decides"
+        return self.fault_of_view(tracking, frame, last)
+
+
+def uncertainty(tracking: Tracking, frame: Frame) -> float:
+    """Standard deviation of a frame's direction, rad, or of its position in median depths: the larger.
+
+    Along the axis in which it is largest.
+    """
+    if not np.isfinite(frame.covariance).all():
+        return np.inf
+    depth = median_depth(frame, tracking.map)
+    position = np.linalg.eigvalsh(frame.covariance[:3, :3])[-1] / depth**2
+    return float(np.sqrt(max(position, np.linalg.eigvalsh(frame.covariance[3:, 3:])[-1])))
+
+
+def _match(
+    tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
+) -> None:
+    m, f = tracking.map, frame.features
+    view = m.view
+    image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
+    frame.point, frame.area = associate(
+        m.arrays, view, frame.T_cam_map, covariance, m.noise2, points, f.xy, f.octave, f.descriptors,
+        f.cell_start, density_of(f.octave, len(view.scale), image), odds_by_distance(),
+        _LIKELIER_THAN_NOT, observing,
+    )  # fmt: skip
+
+
+def _right(tracking: Tracking, frame: Frame, prior: np.ndarray) -> int:
+    """Refine a frame's pose from its matches; number of those that are more likely right than wrong."""
+    m, f = tracking.map, frame.features
+    rows = np.flatnonzero(frame.point >= 0)
+    points, view = frame.point[rows], m.view
+    image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
+    area = np.where(frame.area[rows] > 0, frame.area[rows], image)
+    spread = float(np.median(area)) / (np.pi * 9.21) if len(rows) else 0.0
+    found = uncertain_pose(
+        frame.T_cam_map, m.arrays.pt_xyz[points], m.arrays.pt_covariance[points], f.xy[rows],
+        view.inv_sigma2[f.octave[rows]], area, m.noise2, spread, prior, view.intrinsics,
+        (view.x_max - view.x_min) / _CELLS,
+    )  # fmt: skip
+    right = found.right > _LIKELIER_THAN_NOT
+    frame.T_cam_map, frame.covariance, frame.drawn = found.T_cam_map, found.covariance, found.drawn
+    frame.noise2, frame.noise = found.noise2, max(float(np.sqrt(found.noise2)), 1.0)
+    frame.point[rows[~right]] = -1
+    return int(right.sum())
+
+
+def _depth(m, points: np.ndarray, T_cam_map: np.ndarray) -> float:
+    """Median depth of some points from a pose, map units."""
+    depth = m.arrays.pt_xyz[points] @ T_cam_map[2, :3] + T_cam_map[2, 3]
+    ahead = depth[depth > 0]
+    return float(np.median(ahead)) if len(ahead) else 1.0
+
+
+def _cells(tracking: Tracking, frame: Frame) -> int:
+    view = tracking.map.view
+    side = (view.x_max - view.x_min) / _CELLS
+    xy = frame.features.xy[frame.point >= 0]
+    return len({(int(x // side), int(y // side)) for x, y in xy})
