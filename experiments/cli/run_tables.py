@@ -13,6 +13,8 @@ _REASONS = {
     "too_few_matches_with_last_frame": "too few matches with the last frame",
     "too_few_local_map_inliers": "too few inliers in the local map",
     "too_many_outliers": "too many outliers in the local map",
+    "uncertain_pose": "a pose that is not known",
+    "one_place_decides": "a pose that hangs on one place of the image",
     "no_reinit": "neither relocalized nor a new map",
     "few_inliers": "too few inliers",
 }

@@ -20,7 +20,7 @@ from dslab.slam.matching.guided import in_view, project
 
 CHI2_99 = 9.21
 """Of two dimensions: the window holds 99 % of the right keypoints."""
-_OCTAVE_SPREAD = 0.7
+_OCTAVE_SPREAD = 1.0
 """Standard deviation of an octave about the predicted one: of rounding, and of the corner's own scale."""
 _MIN_COSINE = 0.5
 """Between the direction of view and a point's mean one: Mur-Artal et al., 2015, V-D."""

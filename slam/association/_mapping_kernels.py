@@ -3,17 +3,16 @@
 import numpy as np
 from numba import njit
 
-from dslab.slam.association._kernels import CHI2_99, likeliest, spread_of_pixel
+from dslab.slam.association._kernels import likeliest, spread_of_pixel
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
-from dslab.slam.mapping._triangulation_search import fundamental
 from dslab.slam.matching.guided import in_view
-from dslab.slam.optimization._triangulation import triangulate
+from dslab.slam.optimization._triangulation import fundamental, triangulate
 
 _BAND = 2.58
 """Standard deviations to either side of a line that hold 99 %."""
 _OCTAVE_SPREAD = 1.0
-"""Standard deviation of the octave of a keypoint about that of another one of the same point: twice rounding."""
+"""Standard deviation of the octave of a keypoint about that of another one of the same point."""
 _AGAIN = 0.5
 """Share of the free keypoints of a keyframe that another one shows too."""
 _AROUND, _ANYWHERE = 0.3, 0.2
@@ -26,7 +25,7 @@ _MIN_COSINE = 0.5
 def points_along_rays(
     m, view, keyframe, neighbour, noise2, min_depth, expected_depth, max_error, density, odds, least
 ):
-    """Find free keypoints of a keyframe again in another one, along their epipolar lines, and triangulate them.
+    """Find free keypoints of a keyframe again in another one, along epipolar lines, and triangulate them.
 
     A ray is searched if at the depth of the points around, or without any at the depth that is found, that
     depth would be known well enough: to ask it of the depth that is found would choose those that their noise
@@ -68,8 +67,9 @@ def points_along_rays(
         if expected > 0 and _error(view, d, t, 1.0 / expected, noise_a, noise_a) > max_error:
             continue
         found = _along_ray(
-            view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kp_point, m.kf_cells[neighbour], first, used, a, F, d,
-            t, np.sqrt(x * x + y * y + 1.0), noise2, noise_a, min_depth, expected, max_error, density, odds, least,
+            view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kp_point, m.kf_cells[neighbour], first, used, a,
+            F, d, t, np.sqrt(x * x + y * y + 1.0), noise2, noise_a, min_depth, expected, max_error, density,
+            odds, least,
         )  # fmt: skip
         if found < 0:
             continue
@@ -105,10 +105,10 @@ def _error(view, d, t, inverse, noise_a, noise_b):
 
 @njit(cache=True, nogil=True)
 def _along_ray(
-    view, kp_xy, kp_octave, kp_descriptor, kp_point, cells, first, used, a, F, d, t, length, noise2, noise_a,
-    min_depth, expected, max_error, density, odds, least,
+    view, kp_xy, kp_octave, kp_descriptor, kp_point, cells, first, used, a, F, d, t, length, noise2,
+    noise_a, min_depth, expected, max_error, density, odds, least,
 ):  # fmt: skip
-    """Free keypoint that shows the same point as keypoint ``a``, by its posterior along the ray; -1 for none."""
+    """Free keypoint that shows the same point as keypoint ``a``, by its posterior; -1 for none."""
     x, y = kp_xy[a, 0], kp_xy[a, 1]
     la = F[0, 0] * x + F[0, 1] * y + F[0, 2]
     lb = F[1, 0] * x + F[1, 1] * y + F[1, 2]
@@ -227,8 +227,8 @@ def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
             continue
         detected = min((m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0), 0.99)
         i, posterior, _ = likeliest(
-            view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[keyframe], first, u, v, uu, uv, vv, noise2,
-            level, density, detected, m.pt_descriptor[p], odds,
+            view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[keyframe], first, u, v, uu, uv, vv,
+            noise2, level, density, detected, m.pt_descriptor[p], odds,
         )  # fmt: skip
         if i < 0 or posterior < least:
             continue

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 LOOK_ALIKES = 0.05
 """Share of the keypoints near a point's place that show something else and look like it."""
-_RIGHT, _WRONG = (30.0, 17.0), (118.0, 19.0)
+_RIGHT, _WRONG = (42.0, 20.0), (112.0, 24.0)
 """Mean and standard deviation in bits of right pairs and of pairs of independent keypoints."""
 
 
@@ -23,6 +23,4 @@ def odds_by_distance() -> np.ndarray:
     right, wrong = right / right.sum(), wrong / wrong.sum()
     # A normal density falls faster than what is seen: a share of ten thousand lies anywhere.
     right, wrong = (0.9999 * each + 1e-4 / 257 for each in (right, wrong))
-    odds = right / ((1.0 - LOOK_ALIKES) * wrong + LOOK_ALIKES * right)
-    odds.setflags(write=False)
-    return odds
+    return right / ((1.0 - LOOK_ALIKES) * wrong + LOOK_ALIKES * right)

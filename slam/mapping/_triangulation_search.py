@@ -8,21 +8,9 @@ from numba import njit
 
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.matching.guided import NEAR
-from dslab.slam.optimization._triangulation import triangulate
+from dslab.slam.optimization._triangulation import fundamental, triangulate
 
 _LEAST_SIGMAS = 2.0  # of their noise, by which two rays must differ
-
-
-@njit(cache=True, nogil=True)
-def fundamental(T_1, T_2, view):
-    """(3, 3) F with x_2ᵀ F x_1 = 0 for pixels of two views with poses ``T_cam_map``."""
-    R = np.ascontiguousarray(T_2[:3, :3]) @ np.ascontiguousarray(T_1[:3, :3].T)
-    t = T_2[:3, 3] - R @ np.ascontiguousarray(T_1[:3, 3])
-    skew = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
-    K_inv = np.array(
-        [[1 / view.fx, 0.0, -view.cx / view.fx], [0.0, 1 / view.fy, -view.cy / view.fy], [0.0, 0.0, 1.0]]
-    )
-    return K_inv.T.copy() @ (skew @ R) @ K_inv
 
 
 @njit(cache=True, nogil=True)

@@ -26,8 +26,8 @@ from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
 class LocalMappingConfig:
     """Settings of local mapping."""
 
-    association: Literal["own", "derived"] = setting("own", "how keypoints of keyframes are matched")
-    max_depth_error: float = setting(0.15, "largest standard deviation of a new derived depth over itself")
+    association: Literal["guided", "derived"] = setting("guided", "how keypoints of keyframes are matched")
+    max_depth_error: float = setting(0.1, "largest standard deviation of a new derived depth over itself")
     neighbours: int = setting(10, "covisible keyframes used for triangulation and fusion")
     min_baseline: float = setting(0.01, "least baseline for triangulation", unit=DEPTHS)
     min_depth: float = setting(0.1, "least depth of a new point", unit=DEPTHS)
@@ -43,7 +43,7 @@ class LocalMappingConfig:
     redundancy: float = setting(0.9, "share of points well seen elsewhere that culls a keyframe", le=1)
 
 
-_SURE = 0.95
+_SURE = 0.9
 """Posterior of a match that the map is built on: a wrong one stays."""
 
 

@@ -1,4 +1,4 @@
-"""Triangulation of one point from two views, for kernels."""
+"""Two views in kernels: their fundamental matrix, and one point from both."""
 
 import numpy as np
 from numba import njit
@@ -6,6 +6,18 @@ from numba import njit
 _ITERATIONS = 4
 # Depth in camera 2 over depth in camera 1, below which a point counts as lying beside camera 2.
 _MIN_DEPTH_RATIO = 1e-6
+
+
+@njit(cache=True, nogil=True)
+def fundamental(T_1, T_2, view):
+    """(3, 3) F with x_2ᵀ F x_1 = 0 for pixels of two views with poses ``T_cam_map``."""
+    R = np.ascontiguousarray(T_2[:3, :3]) @ np.ascontiguousarray(T_1[:3, :3].T)
+    t = T_2[:3, 3] - R @ np.ascontiguousarray(T_1[:3, 3])
+    skew = np.array([[0.0, -t[2], t[1]], [t[2], 0.0, -t[0]], [-t[1], t[0], 0.0]])
+    K_inv = np.array(
+        [[1 / view.fx, 0.0, -view.cx / view.fx], [0.0, 1 / view.fy, -view.cy / view.fy], [0.0, 0.0, 1.0]]
+    )
+    return K_inv.T.copy() @ (skew @ R) @ K_inv
 
 
 @njit(cache=True, nogil=True)

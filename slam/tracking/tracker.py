@@ -37,6 +37,7 @@ class Tracker:
         velocity: T_cam_last of the last step, None where unknown.
         twist: (6,) how the scene moves past the camera, see ``twist_between``; 0 where unknown.
         motion: how far predicted poses may be off.
+        sharpest: least variance of a pose since the last keyframe, at the usual noise.
         doubt: of the motion since the start.
         passed_over: number of frames without a pose since the last tracked one.
         last_keyframe: the last frame that has become a keyframe, or will.
@@ -52,6 +53,7 @@ class Tracker:
         self.velocity: np.ndarray | None = None
         self.twist = np.zeros(6)
         self.motion = MotionBelief()
+        self.sharpest = np.inf
         self.doubt = Doubt(config.doubt)
         self._in_motion = False  # the velocity is that of a tracked step
         self.last_keyframe: FrameFeatures | None = None
@@ -72,6 +74,7 @@ class Tracker:
     def keyframe_requested(self, frame: Frame) -> None:
         """Start the least interval to the next keyframe at ``frame``, which will become one."""
         self.last_keyframe = frame.features
+        self.sharpest = np.inf
 
     def resume(self, frame: Frame) -> None:
         """Continue from a relocalized frame, with zero velocity."""
@@ -87,6 +90,9 @@ class Tracker:
         own = factor[self.last.reference_keyframe]
         self.last.T_cam_reference = self.last.T_cam_reference.copy()
         self.last.T_cam_reference[:3, 3] *= own
+        self.last.covariance = self.last.covariance.copy()
+        self.last.covariance[:3] *= own
+        self.last.covariance[:, :3] *= own
         if self.velocity is not None:
             self.velocity = self.velocity.copy()
             self.velocity[:3, 3] *= own
@@ -100,6 +106,7 @@ class Tracker:
         frame.T_cam_reference = np.eye(4)
         frame.T_cam_map = self.map.T_cam_map(keyframe)
         self.last_keyframe = frame.features
+        self.sharpest = np.inf
 
     def rebase(self, map_: Map, last: Frame) -> None:
         """Continue in a map that has absorbed this tracker's; ``last`` is already expressed in it."""

@@ -12,7 +12,7 @@ from dslab.slam.core.frame import Frame
 from dslab.slam.optimization.uncertain_pose import uncertain_pose
 from dslab.slam.tracking.local_map import local_map, median_depth
 from dslab.slam.tracking.rules.interface import Gate, Search, Tracking
-from dslab.slam.tracking.rules.own import OwnLoss, track_reference_keyframe
+from dslab.slam.tracking.rules.own import OwnKeyframeChoice, OwnLoss, track_reference_keyframe
 
 _FIRST = 100
 """Points of the last frame that are matched first: enough for the pose that the others are sought by."""
@@ -35,9 +35,10 @@ class DerivedSearch(Search):
         """Find a first pose by some points of the last frame; without a motion by the reference keyframe."""
         config = tracking.config
         bounds = config.reference_ratio, config.min_reference_matches, config.min_motion_inliers
-        return self._by_motion(tracking, frame, last) or track_reference_keyframe(
-            tracking, frame, last, *bounds
-        )
+        if self._by_motion(tracking, frame, last):
+            return True
+        frame.area[:] = 0.0
+        return track_reference_keyframe(tracking, frame, last, *bounds)
 
     def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
         """Match a frame anew with its local map, as its first pose and that one's covariance say."""
@@ -52,6 +53,7 @@ class DerivedSearch(Search):
         m = tracking.map
         if tracking.velocity is not None and (frame.point >= 0).any():
             tracking.motion.note(tracking.velocity @ last.T_cam_map, frame.T_cam_map, median_depth(frame, m))
+        tracking.sharpest = min(tracking.sharpest, variance(tracking, frame))
         if tracking.observing:
             m.noise2 += (frame.noise2 - m.noise2) / _NOISE_FRAMES
 
@@ -67,7 +69,7 @@ class DerivedSearch(Search):
         if steps > 1:
             _, known = local_map(m, last.point, tracking.config.local_map_keyframes)
         else:
-            known = known[:: max(len(known) // _FIRST, 1)]
+            known = np.ascontiguousarray(known[:: max(len(known) // _FIRST, 1)])
         spread = tracking.motion.predicted(last.covariance, steps, _depth(m, known, start))
         for wider in _WIDER:
             frame.T_cam_map = start.copy()
@@ -101,6 +103,24 @@ class DerivedLoss(OwnLoss):
         if frame.drawn > _MOST_DRAWN:
             return "one_place_decides"
         return self.fault_of_view(tracking, frame, last)
+
+
+class DerivedKeyframeChoice(OwnKeyframeChoice):
+    """The information about the pose has fallen since the last keyframe."""
+
+    def wants(self, tracking: Tracking, frame: Frame, inliers: int, mapping_is_idle: bool) -> bool:
+        """Return True if the frame may, and tells less of its pose than the best one since the last."""
+        if not self.may(tracking, frame, mapping_is_idle):
+            return False
+        config, last = tracking.config, tracking.last_keyframe
+        right_behind = last is not None and abs(frame.features.index - last.index) == 1
+        share = config.urgent_information if right_behind else config.keyframe_information
+        return tracking.sharpest < share * variance(tracking, frame)
+
+
+def variance(tracking: Tracking, frame: Frame) -> float:
+    """Variance of a frame's pose at the usual noise: what it sees decides, not how sharply."""
+    return uncertainty(tracking, frame) ** 2 / frame.noise2
 
 
 def uncertainty(tracking: Tracking, frame: Frame) -> float:

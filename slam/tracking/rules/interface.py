@@ -25,6 +25,7 @@ class Tracking(Protocol):
     last_keyframe: FrameFeatures | None
     resumed: FrameFeatures | None
     motion: MotionBelief
+    sharpest: float
 
     def optimize(self, frame: Frame) -> int:
         """Refine a frame's pose by its matches, by the gate; number of inliers."""
@@ -43,7 +44,8 @@ class Search(ABC):
         """Match a frame with the map around its pose; the keyframe that shares most with it, -1 for none."""
 
     def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
-        """Learn from a frame that counts as tracked, before the velocity is its own."""
+        """Learn from a frame that counts as tracked, before the velocity is its own; nothing by itself."""
+        return
 
 
 class Gate(ABC):

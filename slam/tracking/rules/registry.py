@@ -12,7 +12,7 @@ PUBLISHED = Rules(
     published.PublishedKeyframeChoice(),
 )
 DERIVED = Rules(
-    derived.DerivedSearch(), derived.DerivedGate(), derived.DerivedLoss(), own.OwnKeyframeChoice()
+    derived.DerivedSearch(), derived.DerivedGate(), derived.DerivedLoss(), derived.DerivedKeyframeChoice()
 )
 _BY_NAME = {"own": OWN, "published": PUBLISHED, "derived": DERIVED}
 

@@ -6,8 +6,9 @@ from scipy.optimize import least_squares
 from slam_scenes import VIEW, PointWorld, rigid, world_ids
 
 from dslab.slam.map import _map_kernels as kernels
-from dslab.slam.mapping._triangulation_search import fundamental, new_points, surrounding_depths
+from dslab.slam.mapping._triangulation_search import new_points, surrounding_depths
 from dslab.slam.matching.guided import NEAR
+from dslab.slam.optimization._triangulation import fundamental
 
 PARALLAX = float(np.cos(np.deg2rad(1.15)))
 K = np.array([[VIEW.fx, 0, VIEW.cx], [0, VIEW.fy, VIEW.cy], [0, 0, 1]])
