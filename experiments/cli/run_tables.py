@@ -15,6 +15,7 @@ _REASONS = {
     "too_many_outliers": "too many outliers in the local map",
     "uncertain_pose": "a pose that is not known",
     "one_place_decides": "a pose that hangs on one place of the image",
+    "view_disagrees": "points of the map that the view does not show",
     "no_reinit": "neither relocalized nor a new map",
     "few_inliers": "too few inliers",
 }

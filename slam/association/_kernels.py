@@ -17,6 +17,7 @@ from numba import njit
 
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.matching.guided import in_view, project
+from dslab.slam.optimization.uncertain_pose import SAME_SURFACE
 
 CHI2_99 = 9.21
 """Of two dimensions: the window holds 99 % of the right keypoints."""
@@ -24,6 +25,10 @@ _OCTAVE_SPREAD = 1.0
 """Standard deviation of an octave about the predicted one: of rounding, and of the corner's own scale."""
 _MIN_COSINE = 0.5
 """Between the direction of view and a point's mean one: Mur-Artal et al., 2015, V-D."""
+_RATES = np.array([0.1, 0.3, 0.6, 1.0])
+"""Shares of the points' own rates at which a view may find them: a smeared one finds few of all."""
+CELLS = 8
+"""To a row of the image: the points of a cell are of one surface."""
 
 
 @njit(cache=True, nogil=True)
@@ -102,7 +107,8 @@ def likeliest(
         odds: (257,) by distance of descriptors.
 
     Returns:
-        (row within the frame, -1 for none; posterior that it shows the point; area of its window, px²).
+        (row within the frame, -1 for none; posterior that it shows the point; area of its window, px²; sum
+        of the odds of all keypoints).
     """
     nearest = min(max(int(level + 0.5), 0), len(view.scale) - 1)
     own = noise2 / view.inv_sigma2[nearest]
@@ -113,7 +119,7 @@ def likeliest(
     r1 = min(int((v + half_v - view.y_min) / view.cell), view.rows - 1)
     total, best, found, found_area = 1.0 - detected, 0.0, -1, 0.0
     if c0 > c1 or r0 > r1:
-        return -1, 0.0, 0.0
+        return -1, 0.0, 0.0, 0.0
     for r in range(r0, r1 + 1):
         for i in range(cell_start[r * view.cols + c0], cell_start[r * view.cols + c1 + 1]):
             e = first + i
@@ -136,7 +142,7 @@ def likeliest(
             total += likely
             if likely > best:
                 best, found, found_area = likely, i, 0.5 * CHI2_99 * area
-    return found, best / total, found_area
+    return found, best / total, found_area, total - (1.0 - detected)
 
 
 @njit(cache=True, nogil=True)
@@ -160,9 +166,13 @@ def associate(
         observing: count the points in view as visible.
 
     Returns:
-        point (N,) int32 per keypoint, -1 for none; area (N,) of the window in which it was found, px².
+        point (N,) int32 per keypoint, -1 for none; area (N,) of the window in which it was found, px²; log
+        of the odds that the view is here, against anywhere else, from all points that it should show.
     """
     n = len(octave)
+    side = (view.x_max - view.x_min) / CELLS
+    cells = CELLS * (int((view.y_max - view.y_min) / side) + 1)
+    told, count = np.zeros((cells, len(_RATES))), np.zeros(cells)
     point = np.full(n, -1, np.int32)
     area = np.zeros(n)
     held = np.zeros(n)
@@ -188,11 +198,29 @@ def associate(
         u, v, z, uu, uv, vv = spread_of_pixel(
             view, T_cam_map, m.pt_xyz[p], m.pt_covariance[p] * noise2, pose_covariance
         )
-        detected = (m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0)
-        i, posterior, window = likeliest(
+        detected = min((m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0), 0.99)
+        i, posterior, window, shown = likeliest(
             view, xy, octave, descriptors, cell_start, np.int64(0), u, v, uu, uv, vv, noise2, level, density,
-            min(detected, 0.99), m.pt_descriptor[p], odds,
+            detected, m.pt_descriptor[p], odds,
         )  # fmt: skip
+        cell = int((v - view.y_min) / side) * CELLS + min(int((u - view.x_min) / side), CELLS - 1)
+        count[cell] += 1.0
+        for r in range(len(_RATES)):
+            told[cell, r] += np.log(1.0 + _RATES[r] * (shown - detected))
         if i >= 0 and posterior >= least and posterior > held[i]:
             point[i], area[i], held[i] = p, window, posterior
-    return point, area
+    return point, area, _evidence(told, count)
+
+
+@njit(cache=True, nogil=True)
+def _evidence(told, count):
+    """Log of the odds of a view, from those of the points in its cells (cells, rates) at every rate.
+
+    Of the n points of a cell, which are of one surface, each counts 1 / (1 + (n - 1) ρ).
+    """
+    of_rate = np.zeros(told.shape[1])
+    for c in range(len(count)):
+        if count[c] > 0:
+            of_rate += told[c] / (1.0 + (count[c] - 1.0) * SAME_SURFACE)
+    most = of_rate.max()
+    return most + np.log(np.mean(np.exp(of_rate - most)))

@@ -226,7 +226,7 @@ def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
         if along < _MIN_COSINE * distance or not -1.5 <= level <= len(view.scale) + 0.5:
             continue
         detected = min((m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0), 0.99)
-        i, posterior, _ = likeliest(
+        i, posterior, _, _ = likeliest(
             view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[keyframe], first, u, v, uu, uv, vv,
             noise2, level, density, detected, m.pt_descriptor[p], odds,
         )  # fmt: skip

@@ -151,6 +151,7 @@ class Frame:
         noise2: variance of them over what the view says.
         covariance: (6, 6) of the pose, as a twist from the left; infinite where it is not determined.
         drawn: by how many standard deviations the pose moves without the cell of the image that tells most.
+        evidence: log of the odds that the view is here, by all points that it should show.
         area: (N,) of the window in which each keypoint was found, px²; 0 for the whole image.
     """
 
@@ -163,6 +164,7 @@ class Frame:
     noise2: float = 1.0
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     drawn: float = 0.0
+    evidence: float = 0.0
     area: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -180,6 +182,7 @@ class Frame:
             self.noise2,
             self.covariance.copy(),
             self.drawn,
+            self.evidence,
         )
         copied.point[:] = self.point
         copied.area = self.area.copy()

@@ -10,9 +10,9 @@ from dslab.slam.association._kernels import associate, density_of
 from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Frame
 from dslab.slam.optimization.uncertain_pose import uncertain_pose
-from dslab.slam.tracking.local_map import local_map, median_depth
-from dslab.slam.tracking.rules.interface import Gate, Search, Tracking
-from dslab.slam.tracking.rules.own import OwnKeyframeChoice, OwnLoss, track_reference_keyframe
+from dslab.slam.tracking.local_map import local_map, median_depth, points_of
+from dslab.slam.tracking.rules.interface import Gate, Loss, Search, Tracking
+from dslab.slam.tracking.rules.own import OwnKeyframeChoice, track_reference_keyframe
 
 _FIRST = 100
 """Points of the last frame that are matched first: enough for the pose that the others are sought by."""
@@ -24,6 +24,10 @@ _LEAST_RIGHT, _LEAST_CELLS = 12.0, 3
 _CELLS = 8
 _MOST_DRAWN = 4.0
 """Standard deviations by which a pose may move without the cell that tells most."""
+_BEHIND_A_GAP = 9.2
+"""Log of the odds that a view behind a gap must show: nothing else says that it is there; one in 10,000."""
+_AROUND = 10
+"""Neighbours of a keyframe whose points a view of its place should show."""
 _NOISE_FRAMES = 100
 """That the noise of a sequence is the mean of."""
 
@@ -87,8 +91,8 @@ class DerivedGate(Gate):
         return _right(tracking, frame, np.zeros((6, 6)))
 
 
-class DerivedLoss(OwnLoss):
-    """The pose is not known, hangs on one place of the image, or rests on too few points."""
+class DerivedLoss(Loss):
+    """The pose is not known, hangs on one place, rests on too few points, or the view says that it is not."""
 
     def least_inliers(self, tracking: Tracking, frame: Frame, usual: int) -> int:
         """A floor, in place of ``usual``."""
@@ -102,7 +106,18 @@ class DerivedLoss(OwnLoss):
             return "uncertain_pose"
         if frame.drawn > _MOST_DRAWN:
             return "one_place_decides"
-        return self.fault_of_view(tracking, frame, last)
+        least = _BEHIND_A_GAP if tracking.passed_over else 0.0
+        return "view_disagrees" if frame.evidence < least else ""
+
+    def fault_of_view(self, tracking: Tracking, frame: Frame, last: Frame) -> str:
+        """What the points that a view behind a gap should show say against its pose, however it was found."""
+        if not tracking.passed_over:
+            return ""
+        m = tracking.map
+        k = m.live(last.reference_keyframe)
+        points = points_of(m, [k, *map(int, m.neighbours(k, _AROUND))])
+        _, _, evidence = _associated(tracking, frame, points, frame.covariance, False)
+        return "view_disagrees" if evidence < _BEHIND_A_GAP else ""
 
 
 class DerivedKeyframeChoice(OwnKeyframeChoice):
@@ -138,10 +153,18 @@ def uncertainty(tracking: Tracking, frame: Frame) -> float:
 def _match(
     tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
 ) -> None:
+    """Take the matches of a frame with some points about its pose, and what they say of it."""
+    found = _associated(tracking, frame, points, covariance, observing)
+    frame.point, frame.area, frame.evidence = found
+
+
+def _associated(
+    tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
+) -> tuple[np.ndarray, np.ndarray, float]:
     m, f = tracking.map, frame.features
     view = m.view
     image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
-    frame.point, frame.area = associate(
+    return associate(
         m.arrays, view, frame.T_cam_map, covariance, m.noise2, points, f.xy, f.octave, f.descriptors,
         f.cell_start, density_of(f.octave, len(view.scale), image), odds_by_distance(),
         _LIKELIER_THAN_NOT, observing,

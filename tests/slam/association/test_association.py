@@ -42,7 +42,7 @@ def test_windows_of_99_percent_hold_the_share_of_right_keypoints_that_they_promi
         f.xy.setflags(write=True)
         f.xy[:] += rng.normal(size=f.xy.shape) / np.sqrt(VIEW.inv_sigma2[f.octave])[:, None]
         retract(np.eye(4), np.linalg.cholesky(covariance + 1e-18 * np.eye(6)) @ rng.normal(size=6), T)
-        point, _ = found_in(m, other, T, covariance)
+        point, *_ = found_in(m, other, T, covariance)
         ids = np.array([truth[tuple(d)] for d in f.descriptors.tolist()])
         inner = (f.xy > 60).all(1) & (f.xy < (580, 420)).all(1)
         right += (point == ids)[inner].sum()
@@ -74,7 +74,7 @@ def test_of_two_keypoints_that_look_alike_the_nearer_is_taken_or_none():
     f.descriptors[j] = f.descriptors[i]
     for apart, taken in ((0.4, False), (12.0, True)):
         f.xy[j] = f.xy[i] + (apart, 0.0)
-        point, _ = found_in(m, in_cells(other), np.eye(4), wide, least=0.9)
+        point, *_ = found_in(m, in_cells(other), np.eye(4), wide, least=0.9)
         assert (truth[tuple(f.descriptors[i].tolist())] in point) == taken
 
 
@@ -124,3 +124,13 @@ def test_points_of_two_maps_that_are_one_become_one_and_others_do_not():
     check_map(m)
     assert done > 0.4 * known and (m.observed_points(k) >= 0).sum() > 0.9 * known
     assert pose_error(m.T_cam_map(k), walk(15))[0] < 1e-9
+
+
+def test_a_view_speaks_for_its_place_and_against_another_one():
+    rng, world = np.random.default_rng(8), PointWorld(seed=9)
+    _, m, _ = of_keyframes(world, rng, (0, 5, 10))
+    at_its_place = world.see(6, walk(6), rng, noise_px=0.5, bits=8, share=0.5)
+    elsewhere = PointWorld(seed=10).see(6, walk(6), rng, noise_px=0.5, bits=8)
+    for sighting, speaks in ((at_its_place, True), (elsewhere, False)):
+        *_, evidence = found_in(m, sighting.frame, walk(6), 1e-6 * np.eye(6))
+        assert (evidence > 20) if speaks else (evidence < 0)
