@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.features._hamming import hamming256
+from dslab.slam.map._covariance_kernels import refresh_covariance
 
 
 class MapArrays(NamedTuple):
@@ -34,8 +35,7 @@ class MapArrays(NamedTuple):
         pt_xyz: (P, 3) float64, map frame.
         pt_normal: (P, 3) float64 mean unit viewing direction, camera to point.
         pt_descriptor: (P, 4) uint64.
-        pt_covariance: (P, 6) float64 of its position, map frame: xx, xy, xz, yy, yz, zz, as its observations
-            determine it with their poses held, at the noise that the view says.
+        pt_covariance: (P, 6) float64 xx, xy, xz, yy, yz, zz, map frame, their poses held, at the view's noise.
         pt_max_distance: (P,) float64, distance at which the point appears on level 0.
         pt_bad: (P,) bool.
         pt_head: (P,) int32 first observation, -1 for none.
@@ -171,8 +171,7 @@ def refresh_point(m, point, view):
 @njit(cache=True, nogil=True)
 def refresh_geometry(m, point, view):
     """Recompute a point's mean viewing direction, distance and covariance after it or its observers moved."""
-    e = m.pt_head[point]
-    reference = e
+    e = reference = m.pt_head[point]
     nx, ny, nz = 0.0, 0.0, 0.0
     while e >= 0:
         k = np.int64(m.kp_keyframe[e])
@@ -191,43 +190,7 @@ def refresh_geometry(m, point, view):
     dx, dy, dz = _from_camera(m, np.int64(m.kp_keyframe[reference]), point)
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
     m.pt_max_distance[point] = distance * view.scale[m.kp_octave[reference]]
-    _refresh_covariance(m, point, view, distance)
-
-
-@njit(cache=True, nogil=True)
-def _refresh_covariance(m, point, view, distance):
-    """Recompute a point's covariance: the inverse of the information of its observations.
-
-    Before any, its position is known to a distance: along a ray without parallax that is what is left.
-    """
-    xx, yy, zz = 1.0 / distance**2, 1.0 / distance**2, 1.0 / distance**2
-    xy, xz, yz = 0.0, 0.0, 0.0
-    e = m.pt_head[point]
-    while e >= 0:
-        T = m.kf_T_cam_map[m.kp_keyframe[e]]
-        w = view.inv_sigma2[m.kp_octave[e]]
-        x, y, z = m.pt_xyz[point]
-        z_cam = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        if z_cam > 1e-9:
-            u = (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / z_cam
-            v = (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / z_cam
-            for f, q, row in ((view.fx, u, 0), (view.fy, v, 1)):
-                a = f * (T[row, 0] - q * T[2, 0]) / z_cam
-                b = f * (T[row, 1] - q * T[2, 1]) / z_cam
-                c = f * (T[row, 2] - q * T[2, 2]) / z_cam
-                xx += w * a * a
-                xy += w * a * b
-                xz += w * a * c
-                yy += w * b * b
-                yz += w * b * c
-                zz += w * c * c
-        e = m.kp_next[e]
-    A, B, C = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-    det = xx * A + xy * B + xz * C
-    covariance = m.pt_covariance[point]
-    covariance[0], covariance[1], covariance[2] = A / det, B / det, C / det
-    covariance[3], covariance[4] = (xx * zz - xz * xz) / det, (xy * xz - xx * yz) / det
-    covariance[5] = (xx * yy - xy * xy) / det
+    refresh_covariance(m, point, view, distance)
 
 
 @njit(cache=True, nogil=True)

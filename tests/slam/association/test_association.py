@@ -52,7 +52,7 @@ def test_windows_of_99_percent_hold_the_share_of_right_keypoints_that_they_promi
 
 def test_without_the_poses_covariance_a_pose_that_is_off_finds_little():
     m, frame = scene(np.random.default_rng(2))
-    other, truth = seen_from(m, frame, np.eye(4))
+    other, _ = seen_from(m, frame, np.eye(4))
     off = rigid(rotvec_deg=(0, 1.0, 0))  # 9 px
     covariance = np.diag([1e-6] * 3 + [np.deg2rad(1) ** 2] * 3)
     without, with_it = ((found_in(m, other, off, of)[0] >= 0).sum() for of in (np.zeros((6, 6)), covariance))
@@ -113,7 +113,7 @@ def test_new_points_are_where_the_world_has_them_and_those_without_parallax_are_
 
 def test_points_of_two_maps_that_are_one_become_one_and_others_do_not():
     rng, world = np.random.default_rng(6), PointWorld(seed=7)
-    sightings, m, point_of = of_keyframes(world, rng, (0, 5, 10))
+    _, m, point_of = of_keyframes(world, rng, (0, 5, 10))
     k = m.add_keyframe(tracked_in(m, point_of, world.see(15, walk(15), rng, noise_px=0.5, bits=8), 2), 2)
     observed = m.observed_points(k)
     known = int((observed >= 0).sum())
