@@ -54,7 +54,7 @@ class TrackingConfig:
     urgent_share: float = setting(0.5, "keyframe_share right behind a keyframe", le=1)
     urgent_inliers: int = setting(150, "inliers below which every frame becomes a keyframe")
     keyframe_information: float = setting(
-        0.7, "share of the best information since the last keyframe below which one is derived", le=1
+        0.85, "share of the best information since the last keyframe below which one is derived", le=1
     )
     urgent_information: float = setting(0.5, "keyframe_information right behind a keyframe", le=1)
     keyframe_interval_s: float = setting(0.1, "least time between keyframes")
