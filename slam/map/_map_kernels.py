@@ -35,7 +35,7 @@ class MapArrays(NamedTuple):
         pt_xyz: (P, 3) float64, map frame.
         pt_normal: (P, 3) float64 mean unit viewing direction, camera to point.
         pt_descriptor: (P, 4) uint64.
-        pt_covariance: (P, 6) float64 xx, xy, xz, yy, yz, zz, map frame, their poses held, at the view's noise.
+        pt_covariance: (P, 6) float64 xx, xy, xz, yy, yz, zz, map frame, poses held, at the view's noise.
         pt_max_distance: (P,) float64, distance at which the point appears on level 0.
         pt_bad: (P,) bool.
         pt_head: (P,) int32 first observation, -1 for none.
