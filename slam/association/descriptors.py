@@ -1,6 +1,6 @@
 """What the distance of two ORB descriptors says of whether they show one point.
 
-Distances of right pairs were measured where exact depth tells them (docs/notebook/base-decides.md); those of
+Distances were looked at where exact depth tells right pairs (docs/notebook/base-decides.md); those of
 wrong ones are of independent keypoints, but for a share that looks alike: repeated texture.
 """
 

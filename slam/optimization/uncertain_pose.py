@@ -21,8 +21,8 @@ PRIOR_WORTH = 30.0
 MOST_NOISE2 = 9.0
 """Variance of a frame over the sequence's that is believed: a wrong pose must not buy itself noise."""
 SAME_SURFACE = 0.3
-"""Correlation of the errors of two points in one cell of the image: they are of one surface. Chosen such that
-normalised errors of rendered frames have the size that they should (docs/notebook/base-decides.md)."""
+"""Correlation of the errors of two points in one cell of the image: they are of one surface. Chosen by hand;
+the share of normalised errors inside their ellipsoid is to be measured before these rules are switched on."""
 CELLS = 8
 """To a row of the image, of those cells."""
 _RIGHT, _WRONG = 8.0, 2.0
