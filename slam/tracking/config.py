@@ -60,3 +60,8 @@ class TrackingConfig:
     keyframe_interval_s: float = setting(0.1, "least time between keyframes")
     crossing: CrossingConfig = setting(CrossingConfig(), "what a frame behind a gap must show")
     doubt: DoubtConfig = setting(DoubtConfig(), "bounds of a motion that is believed")
+
+    def __post_init__(self) -> None:
+        derived = [getattr(self, name) == "derived" for name in ("search", "gate", "loss", "keyframe")]
+        if any(derived) and not all(derived):
+            raise ValueError("search, gate, loss and keyframe are derived together, name all four or none")

@@ -128,3 +128,9 @@ def test_the_covariance_of_a_point_is_that_of_its_rays_and_turns_and_grows_with_
     full = np.empty((3, 3))
     full[row, column] = full[column, row] = before
     assert a.pt_covariance[p] == pytest.approx((4 * R @ full @ R.T)[row, column])
+
+
+@pytest.mark.parametrize("name", ["search", "gate", "loss", "keyframe"])
+def test_a_derived_rule_without_the_others_is_refused(name):
+    with pytest.raises(ValueError, match="all four or none"):
+        TrackingConfig(**{name: "derived"})
