@@ -279,6 +279,7 @@ class SlamEngine:
             ms=ms,
             mapping_cpu_ms=done.mapping_cpu_ms,
             loop_cpu_ms=done.loop_cpu_ms,
+            relative=frame.relative if outcome.success else None,
         )
         done.mapping_cpu_ms = done.loop_cpu_ms = 0.0
         return result

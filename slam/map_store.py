@@ -1,13 +1,14 @@
 """The maps of a system and what belongs to each: places, frame poses, the last loss of tracking."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 from dslab.slam.config import SlamConfig
 from dslab.slam.core.frame import FrameFeatures
 from dslab.slam.loop_closing.detection import LoopDetector
 from dslab.slam.map.map import Map
+from dslab.slam.map.noise import KeypointNoise
 from dslab.slam.map.trajectory import FramePoses
 from dslab.slam.places.recognition import KeyframeDatabase
 from dslab.slam.tracking.doubt import Doubt
@@ -65,6 +66,7 @@ class MapStore:
         self.saved: list[int] = []
         self._config = config
         self._maps: dict[int, Map] = {}
+        self._noise: KeypointNoise | None = None  # of the newest map
         self._places: dict[int, Places] = {}
         self._losses: dict[int, Loss] = {}
         self._reaches: dict[int, Reach | None] = {}
@@ -94,7 +96,10 @@ class MapStore:
         return len(self._maps) == 1 and not self._losses
 
     def add(self, map_: Map) -> None:
-        """Add a new map."""
+        """Add a new map; its keypoints are as noisy as those of the one before."""
+        if self._noise is not None:
+            map_.noise = replace(self._noise)
+        self._noise = map_.noise
         self._maps[map_.map_id] = map_
 
     def forget(self, map_id: int) -> None:

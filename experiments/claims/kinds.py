@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dslab.experiments.claims import two_view, two_view_figures
+from dslab.experiments.claims import belief, belief_figures, two_view, two_view_figures
 from dslab.experiments.claims.onset import drawing as onset_drawing
 from dslab.experiments.claims.onset import figures as onset_figures
 from dslab.experiments.claims.onset import unit as onset
@@ -58,6 +58,9 @@ KINDS: dict[str, Kind] = {
         onset_figures.figures,
         onset_drawing.draw,
         onset.record_unit,
+    ),
+    "belief": Kind(
+        belief.BeliefSpec, belief.units, belief.measure, belief_figures.figures, belief_figures.draw
     ),
     "variants": Kind(VariantsSpec, variants_units, measure_variants, variants_figures, draw_variants),
 }

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dslab.slam.core.events import Event
-from dslab.slam.core.results import MapTrajectory, TrackingResult
+from dslab.slam.core.results import MapTrajectory, RelativePose, TrackingResult
 
 
 def write_tum(path: Path, trajectory: MapTrajectory | None) -> None:
@@ -31,10 +31,16 @@ def write_tum(path: Path, trajectory: MapTrajectory | None) -> None:
 
 
 def write_frames_csv(path: Path, results: Iterable[TrackingResult]) -> None:
-    """Write one row per frame: milliseconds in total and per stage, wall (``ms``) and CPU (``cpu_ms``)."""
+    """Write one row per frame: its outcome, how well its pose is known, and times.
+
+    ``position_sd`` (map units) and ``direction_sd_deg`` are standard deviations of the pose relative to the
+    keyframe of frame ``relative_to``, along the axis in which each is largest; empty where the system tells
+    none. Milliseconds are in total and per stage, wall (``ms``) and CPU (``cpu_ms``).
+    """
     results = list(results)
     stages = list(dict.fromkeys(stage for r in results for stage in (*r.ms, *r.cpu_ms)))
     header = ["frame", "stamp_s", "state", "map_id", "inliers", "matches", "keyframe", "reason"]
+    header += ["relative_to", "position_sd", "direction_sd_deg"]
     header += ["ms", "cpu_ms", "mapping_cpu_ms", "loop_cpu_ms"]
     header += [f"ms_{s}" for s in stages] + [f"cpu_ms_{s}" for s in stages]
     with path.open("w", encoding="utf-8", newline="") as file:
@@ -42,10 +48,16 @@ def write_frames_csv(path: Path, results: Iterable[TrackingResult]) -> None:
         writer.writerow(header)
         for r in results:
             fixed = [r.frame, f"{r.stamp_s:.9f}", str(r.state), r.map_id, r.inliers, r.matches]
-            fixed += [int(r.is_keyframe), r.reason]
+            fixed += [int(r.is_keyframe), r.reason, *_deviations(r.relative)]
             times = [sum(r.ms.values()), sum(r.cpu_ms.values()), r.mapping_cpu_ms, r.loop_cpu_ms]
             times += [r.ms.get(s) for s in stages] + [r.cpu_ms.get(s) for s in stages]
             writer.writerow(fixed + ["" if t is None else f"{t:.3f}" for t in times])
+
+
+def _deviations(pose: RelativePose | None) -> list[int | str]:
+    if pose is None:
+        return ["", "", ""]
+    return [pose.frame, f"{pose.position_sd:.6g}", f"{np.rad2deg(pose.direction_sd_rad):.6g}"]
 
 
 def write_events(path: Path, events: Iterable[Event]) -> None:

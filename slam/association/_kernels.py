@@ -3,10 +3,11 @@
 A point that is in view is seen by one keypoint at most. The odds that it is keypoint i, against that none of
 the keypoints shows it, are
 
-    P_D N(e_i; 0, S) P(octave_i) P(d_i | it) / (λ P(d_i | other)) / (1 - P_D),
+    P_D t(e_i; S) P(octave_i) P(d_i | it) / (λ P(d_i | other)) / (1 - P_D),
 
 with the error e_i of the keypoint from the predicted pixel, its covariance S, the density λ of the keypoints
-of its octave and the distance d_i of descriptors: probabilistic data association.
+of its octave and the distance d_i of descriptors: probabilistic data association. Errors are of Student's t,
+see ``uncertain_pose.TAILS``.
 
 Source: Bar-Shalom, Daum, Huang, "The probabilistic data association filter", IEEE Control Systems Magazine
 29(6), 2009, without its gate's probability, which is .99 here.
@@ -17,10 +18,10 @@ from numba import njit
 
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.matching.guided import in_view, project
-from dslab.slam.optimization.uncertain_pose import SAME_SURFACE
+from dslab.slam.optimization.uncertain_pose import SAME_SURFACE, TAILS, density_at
 
-CHI2_99 = 9.21
-"""Of two dimensions: the window holds 99 % of the right keypoints."""
+CHI2_99 = (TAILS - 2.0) * (0.01 ** (-2.0 / TAILS) - 1.0)
+"""Squared normalised error in a window of 99 %: P(more) = (1 + it / (ν - 2))^(-ν / 2), by integration."""
 _OCTAVE_SPREAD = 1.0
 """Standard deviation of an octave about the predicted one: of rounding, and of the corner's own scale."""
 _MIN_COSINE = 0.5
@@ -135,13 +136,12 @@ def likeliest(
             chi2 = (c * du * du - 2.0 * uv * du * dv + a * dv * dv) / det
             if chi2 > CHI2_99:
                 continue
-            area = 2.0 * np.pi * np.sqrt(det)
             of_octave = 0.3989 / _OCTAVE_SPREAD * np.exp(-0.5 * (apart / _OCTAVE_SPREAD) ** 2)
-            likely = detected * np.exp(-0.5 * chi2) * of_octave / (area * density[octave[e]])
+            likely = detected * density_at(chi2, det) * of_octave / density[octave[e]]
             likely *= odds[hamming256(query, descriptors[e])]
             total += likely
             if likely > best:
-                best, found, found_area = likely, i, 0.5 * CHI2_99 * area
+                best, found, found_area = likely, i, np.pi * CHI2_99 * np.sqrt(det)
     return found, best / total, found_area, total - (1.0 - detected)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from dslab.slam.core._frame_kernels import motion_between, sort_into_cells
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.core.results import RelativePose
 from dslab.slam.core.snapshot import Immutable
 
 
@@ -149,9 +150,12 @@ class Frame:
         T_cam_reference: (4, 4) pose relative to that keyframe, NaN while unknown.
         noise: standard deviation of its matched keypoints over the usual one, at least 1.
         noise2: variance of them over what the view says.
-        covariance: (6, 6) of the pose, as a twist from the left; infinite where it is not determined.
+        covariance: (6, 6) of the pose from the points, as a twist from the left; infinite where it is not
+            determined.
+        relative: the pose relative to the reference keyframe with its covariance, None where not told.
         drawn: by how many standard deviations the pose moves without the cell of the image that tells most.
         evidence: log of the odds that the view is here, by all points that it should show.
+        sought: pose (4, 4) and covariance (6, 6) by which points were last sought, None where not by those.
         area: (N,) of the window in which each keypoint was found, px²; 0 for the whole image.
     """
 
@@ -165,6 +169,8 @@ class Frame:
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     drawn: float = 0.0
     evidence: float = 0.0
+    relative: RelativePose | None = None
+    sought: tuple[np.ndarray, np.ndarray] | None = None
     area: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -183,6 +189,8 @@ class Frame:
             self.covariance.copy(),
             self.drawn,
             self.evidence,
+            self.relative,
+            self.sought,
         )
         copied.point[:] = self.point
         copied.area = self.area.copy()

@@ -79,3 +79,15 @@ def share_of_motion(T: np.ndarray, share: float) -> np.ndarray:
     part[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T[:3, :3]).as_rotvec()).as_matrix()
     part[:3, 3] = share * T[:3, 3]
     return part
+
+
+def adjoint(T: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) by which a twist (translation, rotation) is moved to the other side of T (..., 4, 4)."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    skew = np.zeros_like(R)
+    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -t[..., 2], t[..., 1], -t[..., 0]
+    skew -= np.swapaxes(skew, -1, -2)
+    moved = np.zeros((*T.shape[:-2], 6, 6))
+    moved[..., :3, :3] = moved[..., 3:, 3:] = R
+    moved[..., :3, 3:] = skew @ R
+    return moved

@@ -8,6 +8,38 @@ from dslab.slam.core.events import TrackingState
 
 
 @dataclass(frozen=True)
+class RelativePose:
+    """A pose relative to a keyframe, and how well it is known.
+
+    Attributes:
+        frame: that the keyframe was made from.
+        T_cam_keyframe: (4, 4) keyframe's camera to this one's, map units.
+        covariance: (6, 6) of it as a twist from the left: translation in map units, then rotation in rad;
+            infinite where it is not determined.
+    """
+
+    frame: int
+    T_cam_keyframe: np.ndarray
+    covariance: np.ndarray
+
+    @property
+    def position_sd(self) -> float:
+        """Standard deviation of the position along the axis in which it is largest, map units."""
+        return _largest_sd(self.covariance[:3, :3])
+
+    @property
+    def direction_sd_rad(self) -> float:
+        """Standard deviation of the orientation about the axis in which it is largest."""
+        return _largest_sd(self.covariance[3:, 3:])
+
+
+def _largest_sd(covariance: np.ndarray) -> float:
+    if not np.isfinite(covariance).all():
+        return np.inf
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+@dataclass(frozen=True)
 class TrackingResult:
     """The outcome of one frame.
 
@@ -28,6 +60,7 @@ class TrackingResult:
         ms: wall milliseconds per tracking stage, likewise.
         mapping_cpu_ms: CPU milliseconds of local mapping run for this frame (0 without a keyframe).
         loop_cpu_ms: CPU milliseconds of loop closing run for this frame (0 without a keyframe).
+        relative: the pose relative to a keyframe; None where the system does not tell how well it is known.
     """
 
     frame: int
@@ -45,6 +78,7 @@ class TrackingResult:
     ms: dict[str, float] = field(default_factory=dict)
     mapping_cpu_ms: float = 0.0
     loop_cpu_ms: float = 0.0
+    relative: RelativePose | None = None
 
 
 @dataclass(frozen=True)

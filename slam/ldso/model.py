@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dslab.slam.core.geometry import adjoint
 from dslab.slam.direct._alignment_kernels import PATTERN
 from dslab.slam.ldso._window_kernels import linearise_window, to_keyframes
 from dslab.slam.ldso.points import Active
@@ -102,7 +103,7 @@ def pair_derivatives(window: Window) -> tuple[np.ndarray, np.ndarray]:
     T, affine = window.motions(first=True), window.affine_first
     of_host = np.zeros((size, size, PARAMETERS, PARAMETERS))
     of_target = np.tile(np.eye(PARAMETERS), (size, size, 1, 1))
-    of_host[..., :6, :6] = -_adjoints(T)
+    of_host[..., :6, :6] = -adjoint(T)
     gain = np.exp(affine[None, :, 0] - affine[:, None, 0])
     shift = gain * affine[:, None, 1]
     of_host[..., 6, 6], of_host[..., 7, 6], of_host[..., 7, 7] = -1.0, shift, -gain
@@ -115,18 +116,6 @@ def of_keyframes(pairs: np.ndarray, of_host: np.ndarray, of_target: np.ndarray) 
     by_host = np.einsum("htmn,htmk->hnk", of_host, pairs)
     by_target = np.einsum("htmn,htmk->tnk", of_target, pairs)
     return (by_host + by_target).reshape(-1, pairs.shape[-1])
-
-
-def _adjoints(T: np.ndarray) -> np.ndarray:
-    """(..., 6, 6) by which a twist (translation, rotation) is moved to the other side of T (..., 4, 4)."""
-    R, t = T[..., :3, :3], T[..., :3, 3]
-    skew = np.zeros_like(R)
-    skew[..., 0, 1], skew[..., 0, 2], skew[..., 1, 2] = -t[..., 2], t[..., 1], -t[..., 0]
-    skew -= np.swapaxes(skew, -1, -2)
-    adjoint = np.zeros((*T.shape[:-2], 6, 6))
-    adjoint[..., :3, :3] = adjoint[..., 3:, 3:] = R
-    adjoint[..., :3, 3:] = skew @ R
-    return adjoint
 
 
 def _assembled(

@@ -1,5 +1,7 @@
 """Map of keyframes, map points and their associations in flat, growing arrays."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from dslab.slam.core.frame import Frame, FrameFeatures
@@ -7,6 +9,7 @@ from dslab.slam.core.geometry import ViewGeometry
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map._map_kernels import MapArrays
 from dslab.slam.map.compaction import culled_keypoints, drop_culled_keypoints
+from dslab.slam.map.noise import KeypointNoise
 from dslab.slam.optimization.sim3 import sim3_decompose
 
 _MIN_CULLED_SHARE = 0.25  # culled share of the keypoints in use, from which they are removed
@@ -24,7 +27,7 @@ class Map:
         loop_edges: pairs of keyframes connected by loop closures.
         look_alikes: pairs of keyframes whose places look alike and are two, with the similarity (4, 4) from
             the camera of the first to the camera of the second by their looks.
-        noise2: variance of the keypoints that are found again, over what the view says; frames tell it.
+        noise: of the keypoints that are found again.
     """
 
     def __init__(self, map_id: int, view: ViewGeometry) -> None:
@@ -35,10 +38,15 @@ class Map:
         self._features: list[FrameFeatures] = []
         self._parent: list[int] = []
         self._T_cam_parent: dict[int, np.ndarray] = {}
-        self.noise2 = 1.0
+        self.noise = KeypointNoise()
         self.loop_edges: list[tuple[int, int]] = []
         self.look_alikes: list[tuple[int, int, np.ndarray]] = []
         self.arrays = _allocate(16, 16_384, 8_192, view.cols * view.rows + 1)
+
+    @property
+    def noise2(self) -> float:
+        """Variance of the keypoints that are found again, over what the view says."""
+        return self.noise.variance
 
     # -- keyframes ---------------------------------------------------------------------------------------
 
@@ -212,7 +220,7 @@ class Map:
         copied = Map.__new__(Map)
         copied.map_id = self.map_id if map_id is None else map_id
         copied.view = self.view
-        copied.noise2 = self.noise2
+        copied.noise = replace(self.noise)
         copied.n_keyframes, copied.n_points = self.n_keyframes, self.n_points
         copied._features = list(self._features)
         copied._parent = list(self._parent)
@@ -224,7 +232,7 @@ class Map:
 
     def adopt(self, changed: "Map") -> None:
         """Take over the state of a changed copy, which must not be used afterwards."""
-        self.n_keyframes, self.n_points, self.noise2 = changed.n_keyframes, changed.n_points, changed.noise2
+        self.n_keyframes, self.n_points = changed.n_keyframes, changed.n_points
         self._features, self._parent = changed._features, changed._parent
         self._T_cam_parent, self.loop_edges = changed._T_cam_parent, changed.loop_edges
         self.look_alikes = changed.look_alikes

@@ -20,11 +20,15 @@ PRIOR_WORTH = 30.0
 """Residuals that the noise of the sequence is worth beside those of a frame."""
 MOST_NOISE2 = 9.0
 """Variance of a frame over the sequence's that is believed: a wrong pose must not buy itself noise."""
-SAME_SURFACE = 0.3
+SAME_SURFACE = 0.03
 """Correlation of the errors of two points in one cell of the image: they are of one surface. Chosen by hand;
 the share of normalised errors inside their ellipsoid is to be measured before these rules are switched on."""
 CELLS = 8
 """To a row of the image, of those cells."""
+TAILS = 4.0
+"""Degrees of freedom of Student's t that the errors of right matches follow."""
+INFORMATION = (TAILS + 2.0) / (TAILS + 4.0) * TAILS / (TAILS - 2.0)
+"""Fisher's, of a bivariate t over that of a normal of the same variance."""
 _RIGHT, _WRONG = 8.0, 2.0
 """What is believed of the share of right matches before any is seen: as of ten."""
 _ANNEALED, _STEPS = 5, 12
@@ -98,7 +102,7 @@ def _estimate(
 ):
     n = len(points)
     start = T.copy()
-    right = np.ones(n)
+    right, weight = np.ones(n), np.ones(n)
     errors = np.empty((n, 2))
     S = np.empty((n, 3))
     J = np.empty((n, 2, 6))
@@ -113,9 +117,9 @@ def _estimate(
     for iteration in range(_STEPS):
         extra = spread_px2 * 0.25**iteration if iteration < _ANNEALED else 0.0
         linearise(T, points, point_covariance, pixels, inv_sigma2, noise2, extra, intrinsics, errors, S, J)
-        share = _expect(errors, S, area, share, right)
+        share = _expect(errors, S, area, share, right, weight)
         if extra <= noise2:
-            noise2 = _noise(errors, S, right, inv_sigma2, usual2, noise2)
+            noise2 = _noise(errors, S, right, weight, inv_sigma2, usual2, noise2)
         H[:] = prior
         for r in range(6):
             gradient[r] = 0.0
@@ -123,7 +127,7 @@ def _estimate(
                 gradient[r] += prior[r, c] * moved[c]
         for i in range(n):
             if right[i] > 1e-6:
-                _add(J[i], errors[i], S[i], right[i], H, gradient)
+                _add(J[i], errors[i], S[i], weight[i], weight[i], H, gradient)
         L[:] = H
         step[:] = -gradient
         if not factor(L, rows):
@@ -142,8 +146,8 @@ def _estimate(
         return np.zeros(n), usual2, unknown, np.inf
     orthonormalise(T)
     linearise(T, points, point_covariance, pixels, inv_sigma2, noise2, 0.0, intrinsics, errors, S, J)
-    _expect(errors, S, area, share, right)
-    covariance, drawn = _certainty(J, errors, S, right, pixels, cell_px, prior)
+    _expect(errors, S, area, share, right, weight)
+    covariance, drawn = _certainty(J, errors, S, right, weight, pixels, cell_px, prior)
     return right, noise2, covariance, drawn
 
 
@@ -186,17 +190,29 @@ def linearise(T, points, point_covariance, pixels, inv_sigma2, noise2, extra, in
 
 
 @njit(cache=True, nogil=True)
-def _expect(errors, S, area, share, right):
-    """Write the probability of every match to be right; the share of right ones."""
+def _expect(errors, S, area, share, right, weight):
+    """Write the probability of every match to be right, and that times its weight; the share of right ones.
+
+    Errors of right ones are of Student's t with covariance S: those far out weigh less.
+    """
     total = 0.0
     for i in range(len(errors)):
-        right[i] = 0.0
+        right[i] = weight[i] = 0.0
         if np.isfinite(errors[i, 0]):
             det = S[i, 0] * S[i, 2] - S[i, 1] ** 2
-            likely = share * np.exp(-0.5 * _chi2(errors[i], S[i], det)) / (2.0 * np.pi * np.sqrt(det))
+            chi2 = _chi2(errors[i], S[i], det)
+            likely = share * density_at(chi2, det)
             right[i] = likely / (likely + (1.0 - share) / area[i])
+            weight[i] = right[i] * (TAILS + 2.0) / (TAILS - 2.0 + chi2)
         total += right[i]
     return (total + _RIGHT) / (len(errors) + _RIGHT + _WRONG)
+
+
+@njit(cache=True, nogil=True)
+def density_at(chi2, det):
+    """Density, 1/px², of a right match's error, by its normalised square and its covariance's determinant."""
+    tail = 1.0 + chi2 / (TAILS - 2.0)
+    return TAILS / (TAILS - 2.0) * tail ** (-0.5 * TAILS - 1.0) / (2.0 * np.pi * np.sqrt(det))
 
 
 @njit(cache=True, nogil=True)
@@ -205,7 +221,7 @@ def _chi2(e, S, det):
 
 
 @njit(cache=True, nogil=True)
-def _noise(errors, S, right, inv_sigma2, usual2, noise2):
+def _noise(errors, S, right, weight, inv_sigma2, usual2, noise2):
     """Variance of the keypoints over what the view says, from what of the errors is theirs.
 
     The pose has taken six degrees of freedom of the errors.
@@ -219,8 +235,8 @@ def _noise(errors, S, right, inv_sigma2, usual2, noise2):
             x, y = a * errors[i, 0] + b * errors[i, 1], b * errors[i, 0] + c * errors[i, 1]
             variance = noise2 / inv_sigma2[i]
             # Mean square of the keypoint's own part, given the whole error, over what the view says.
-            square = variance**2 * (x * x + y * y) + 2.0 * variance - variance**2 * (a + c)
-            total += right[i] * square * inv_sigma2[i]
+            rest = right[i] * (2.0 * variance - variance**2 * (a + c))
+            total += (weight[i] * variance**2 * (x * x + y * y) + rest) * inv_sigma2[i]
             own += 2.0 * right[i]
     count += own
     left = max(count - min(6.0, own), 1.0)
@@ -228,13 +244,16 @@ def _noise(errors, S, right, inv_sigma2, usual2, noise2):
 
 
 @njit(cache=True, nogil=True)
-def _add(J, e, S, weight, H, gradient):
-    """Add a match to the normal equations; ``H`` (6, 6) is whole."""
+def _add(J, e, S, pull, worth, H, gradient):
+    """Add a match to the normal equations, its gradient ``pull`` and its information ``worth`` times.
+
+    ``H`` (6, 6) is whole.
+    """
     det = S[0] * S[2] - S[1] * S[1]
-    a, b, c = weight * S[2] / det, -weight * S[1] / det, weight * S[0] / det
+    a, b, c = worth * S[2] / det, -worth * S[1] / det, worth * S[0] / det
     for r in range(6):
         u, v = a * J[0, r] + b * J[1, r], b * J[0, r] + c * J[1, r]
-        gradient[r] += u * e[0] + v * e[1]
+        gradient[r] += pull / worth * (u * e[0] + v * e[1])
         for k in range(r + 1):
             value = u * J[0, k] + v * J[1, k]
             H[r, k] += value
@@ -243,7 +262,7 @@ def _add(J, e, S, weight, H, gradient):
 
 
 @njit(cache=True, nogil=True)
-def _certainty(J, errors, S, right, pixels, cell_px, prior):
+def _certainty(J, errors, S, right, weight, pixels, cell_px, prior):
     """Covariance (6, 6) of the pose, and by how much the most telling cell of the image draws it.
 
     The points of a cell are of one surface, so that their errors go together: n of them are worth
@@ -267,8 +286,9 @@ def _certainty(J, errors, S, right, pixels, cell_px, prior):
     for i in range(n):
         k = cell[i]
         if right[i] > 1e-6:
-            worth = right[i] / (1.0 + max(count[k] - 1.0, 0.0) * SAME_SURFACE)
-            _add(J[i], errors[i], S[i], worth, H[k], gradient[k])
+            shared = 1.0 + max(count[k] - 1.0, 0.0) * SAME_SURFACE
+            worth = INFORMATION * right[i] / shared
+            _add(J[i], errors[i], S[i], weight[i] / shared, worth, H[k], gradient[k])
     telling = 0
     for k in range(most + 1):
         whole += H[k]

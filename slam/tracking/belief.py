@@ -4,7 +4,7 @@ import numpy as np
 
 from dslab.slam.core._frame_kernels import motion_between
 
-_PRIOR_FRAMES = 5.0
+_PRIOR_FRAMES = 1.0
 """Innovations that the prior is worth."""
 _MEMORY = 0.95
 """Weight of an innovation against the one after it: twenty frames are remembered."""

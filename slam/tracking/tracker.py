@@ -203,6 +203,7 @@ class Tracker:
         matches = int((frame.point >= 0).sum())
         inliers = self.optimize(frame)
         frame.reference_keyframe = keyframe
+        frame.relative = self.rules.gate.relative(self, frame)
         return inliers, matches
 
     def _accept(self, frame: Frame, last: Frame) -> None:

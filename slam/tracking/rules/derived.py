@@ -6,10 +6,12 @@ one model. docs/notebook/base-decides.md has the formulas and what was measured.
 
 import numpy as np
 
-from dslab.slam.association._kernels import associate, density_of
+from dslab.slam.association._kernels import CHI2_99, associate, density_of
 from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Frame
-from dslab.slam.optimization.uncertain_pose import uncertain_pose
+from dslab.slam.core.results import RelativePose
+from dslab.slam.map._covariance_kernels import relative_covariance
+from dslab.slam.optimization.uncertain_pose import INFORMATION, uncertain_pose
 from dslab.slam.tracking.local_map import local_map, median_depth, points_of
 from dslab.slam.tracking.rules.interface import Gate, Loss, Search, Tracking
 from dslab.slam.tracking.rules.own import OwnKeyframeChoice, track_reference_keyframe
@@ -28,8 +30,6 @@ _BEHIND_A_GAP = 9.2
 """Log of the odds that a view behind a gap must show: nothing else says that it is there; one in 10,000."""
 _AROUND = 10
 """Neighbours of a keyframe whose points a view of its place should show."""
-_NOISE_FRAMES = 100
-"""That the noise of a sequence is the mean of."""
 
 
 class DerivedSearch(Search):
@@ -59,7 +59,7 @@ class DerivedSearch(Search):
             tracking.motion.note(tracking.velocity @ last.T_cam_map, frame.T_cam_map, median_depth(frame, m))
         tracking.sharpest = min(tracking.sharpest, variance(tracking, frame))
         if tracking.observing:
-            m.noise2 += (frame.noise2 - m.noise2) / _NOISE_FRAMES
+            m.noise.note(frame.noise2)
 
     def _by_motion(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
         if tracking.velocity is None:
@@ -90,6 +90,16 @@ class DerivedGate(Gate):
         """Refine a frame's pose; matches that are more likely wrong than right are taken from it."""
         return _right(tracking, frame, np.zeros((6, 6)))
 
+    def relative(self, tracking: Tracking, frame: Frame) -> RelativePose | None:
+        """Points, keyframe and its neighbours are as uncertain as their observations leave them."""
+        m, k = tracking.map, frame.reference_keyframe
+        rows = np.flatnonzero(frame.point >= 0)
+        covariance = relative_covariance(
+            m.arrays, m.view, m.n_keyframes, k, frame.T_cam_map, frame.point[rows],
+            frame.features.octave[rows], m.noise2, frame.noise2 / INFORMATION,
+        )  # fmt: skip
+        return RelativePose(m.frame_index(k), frame.T_cam_map @ np.linalg.inv(m.T_cam_map(k)), covariance)
+
 
 class DerivedLoss(Loss):
     """The pose is not known, hangs on one place, rests on too few points, or the view says that it is not."""
@@ -102,7 +112,7 @@ class DerivedLoss(Loss):
         """Why a frame counts as lost."""
         if inliers < _LEAST_RIGHT or _cells(tracking, frame) < _LEAST_CELLS:
             return "too_few_local_map_inliers"
-        if uncertainty(tracking, frame) > tracking.config.max_uncertainty:
+        if _uncertainty(tracking, frame) > tracking.config.max_uncertainty:
             return "uncertain_pose"
         if frame.drawn > _MOST_DRAWN:
             return "one_place_decides"
@@ -134,26 +144,30 @@ class DerivedKeyframeChoice(OwnKeyframeChoice):
 
 
 def variance(tracking: Tracking, frame: Frame) -> float:
-    """Variance of a frame's pose at the usual noise: what it sees decides, not how sharply."""
-    return uncertainty(tracking, frame) ** 2 / frame.noise2
+    """Variance of a frame's pose at the usual noise: what it sees decides, not how sharply.
 
-
-def uncertainty(tracking: Tracking, frame: Frame) -> float:
-    """Standard deviation of a frame's direction, rad, or of its position in median depths: the larger.
-
-    Along the axis in which it is largest.
+    Of direction, rad², or of position, squared median depths: the larger, along the axis in which it is most.
     """
-    if not np.isfinite(frame.covariance).all():
+    known = RelativePose(0, frame.T_cam_map, frame.covariance)
+    return _largest(known, median_depth(frame, tracking.map)) ** 2 / frame.noise2
+
+
+def _uncertainty(tracking: Tracking, frame: Frame) -> float:
+    """Standard deviation relative to the reference keyframe, as in :func:`variance`."""
+    if frame.relative is None:
         return np.inf
-    depth = median_depth(frame, tracking.map)
-    position = np.linalg.eigvalsh(frame.covariance[:3, :3])[-1] / depth**2
-    return float(np.sqrt(max(position, np.linalg.eigvalsh(frame.covariance[3:, 3:])[-1])))
+    return _largest(frame.relative, median_depth(frame, tracking.map))
+
+
+def _largest(pose: RelativePose, depth: float) -> float:
+    return max(pose.position_sd / depth, pose.direction_sd_rad)
 
 
 def _match(
     tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
 ) -> None:
     """Take the matches of a frame with some points about its pose, and what they say of it."""
+    frame.sought = frame.T_cam_map.copy(), covariance.copy()
     found = _associated(tracking, frame, points, covariance, observing)
     frame.point, frame.area, frame.evidence = found
 
@@ -178,7 +192,7 @@ def _right(tracking: Tracking, frame: Frame, prior: np.ndarray) -> int:
     points, view = frame.point[rows], m.view
     image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
     area = np.where(frame.area[rows] > 0, frame.area[rows], image)
-    spread = float(np.median(area)) / (np.pi * 9.21) if len(rows) else 0.0
+    spread = float(np.median(area)) / (np.pi * CHI2_99) if len(rows) else 0.0
     found = uncertain_pose(
         frame.T_cam_map, m.arrays.pt_xyz[points], m.arrays.pt_covariance[points], f.xy[rows],
         view.inv_sigma2[f.octave[rows]], area, m.noise2, spread, prior, view.intrinsics,

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.core.results import RelativePose
 from dslab.slam.map.map import Map
 from dslab.slam.tracking.belief import MotionBelief
 from dslab.slam.tracking.config import TrackingConfig
@@ -54,6 +55,10 @@ class Gate(ABC):
     @abstractmethod
     def optimize(self, tracking: Tracking, frame: Frame) -> int:
         """Refine a frame's pose by its matches, take the outliers from it; number of inliers."""
+
+    def relative(self, tracking: Tracking, frame: Frame) -> RelativePose | None:
+        """Return a frame's pose relative to its reference keyframe and how well it is known; here unknown."""
+        return None
 
 
 class Loss(ABC):

@@ -10,8 +10,10 @@ from slam_fakes import FakeSystem, fake_factory, make_sequence, run_sequence
 
 from dslab.experiments.comparison.left_runs import read_run
 from dslab.experiments.runs.execution import execute
-from dslab.experiments.runs.files import plain
+from dslab.experiments.runs.files import plain, write_frames_csv
 from dslab.scenarios.errors import InputError
+from dslab.slam.core.events import TrackingState
+from dslab.slam.core.results import RelativePose, TrackingResult
 
 REQUIRED = [
     "frames", "tracked", "first_tracked_frame", "maps", "keyframes", "breakages", "recoveries", "ate_m",
@@ -41,6 +43,18 @@ def test_the_folder_holds_every_file_and_the_summary_every_figure(sequence, tmp_
     }  # fmt: skip
     assert set(REQUIRED) <= set(summary)
     assert json.loads((tmp_path / "r" / "summary.json").read_text()) == summary
+
+
+def test_the_deviations_of_a_pose_are_in_its_row_and_empty_where_none_are_told(tmp_path):
+    nothing = np.empty(0)
+    fixed = TrackingState.TRACKING, np.eye(4), 0, 40, 60, "", False, nothing, nothing
+    covariance = np.diag([0.01, 0.04, 0.01, 1e-4, 1e-4, 4e-4])
+    told = TrackingResult(0, 0.0, *fixed, relative=RelativePose(7, np.eye(4), covariance))
+    write_frames_csv(tmp_path / "frames.csv", [told, TrackingResult(1, 0.1, *fixed)])
+    first, second = csv.DictReader((tmp_path / "frames.csv").open())
+    assert first["relative_to"] == "7" and float(first["position_sd"]) == pytest.approx(0.2)
+    assert float(first["direction_sd_deg"]) == pytest.approx(np.rad2deg(0.02), rel=1e-4)
+    assert second["relative_to"] == second["position_sd"] == second["direction_sd_deg"] == ""
 
 
 def test_the_counts_of_the_summary_are_those_of_the_run(sequence, tmp_path):

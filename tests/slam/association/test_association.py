@@ -11,6 +11,7 @@ from dslab.slam.core.frame import Features, Frame, FrameFeatures
 from dslab.slam.map._map_kernels import erase_observation, remove_point
 from dslab.slam.map.invariants import check_map
 from dslab.slam.optimization._se3 import retract
+from dslab.slam.optimization.uncertain_pose import TAILS
 
 IMAGE_PX2 = 640.0 * 480.0
 
@@ -24,13 +25,18 @@ def found_in(m, frame, T, covariance, noise2=1.0, least=0.5):
     )  # fmt: skip
 
 
+def student(rng, n):
+    """(n, 2) errors of unit variance, with the tails of right matches."""
+    return rng.normal(size=(n, 2)) * np.sqrt((TAILS - 2) / rng.chisquare(TAILS, n))[:, None]
+
+
 def of_keyframes(world, rng, frames, noise_px=0.5):
     sightings = [world.see(i, walk(i), rng, noise_px=noise_px, bits=8) for i in frames]
     return sightings, *world.map_of(sightings, rng)
 
 
-@pytest.mark.parametrize("deviation", [0.0, 0.004, 0.02])
-def test_windows_of_99_percent_hold_the_share_of_right_keypoints_that_they_promise(deviation):
+@pytest.mark.parametrize(("deviation", "most"), [(0.0, 0.998), (0.004, 0.998), (0.02, 1.0)])
+def test_windows_of_99_percent_hold_the_share_of_right_keypoints_that_they_promise(deviation, most):
     rng = np.random.default_rng(1)
     m, frame = scene(rng)
     covariance = np.diag(np.r_[np.full(3, deviation * 5), np.full(3, deviation)] ** 2)
@@ -40,21 +46,21 @@ def test_windows_of_99_percent_hold_the_share_of_right_keypoints_that_they_promi
         other, truth = seen_from(m, frame, np.eye(4))
         f = other.features
         f.xy.setflags(write=True)
-        f.xy[:] += rng.normal(size=f.xy.shape) / np.sqrt(VIEW.inv_sigma2[f.octave])[:, None]
+        f.xy[:] += student(rng, len(f)) / np.sqrt(VIEW.inv_sigma2[f.octave])[:, None]
         retract(np.eye(4), np.linalg.cholesky(covariance + 1e-18 * np.eye(6)) @ rng.normal(size=6), T)
         point, *_ = found_in(m, other, T, covariance)
         ids = np.array([truth[tuple(d)] for d in f.descriptors.tolist()])
         inner = (f.xy > 60).all(1) & (f.xy < (580, 420)).all(1)
         right += (point == ids)[inner].sum()
         expected += inner.sum()
-    assert 0.97 < right / expected < 0.998
+    assert 0.98 < right / expected <= most  # the wider the pose's part, the less tail has the sum
 
 
 def test_without_the_poses_covariance_a_pose_that_is_off_finds_little():
     m, frame = scene(np.random.default_rng(2))
     other, _ = seen_from(m, frame, np.eye(4))
-    off = rigid(rotvec_deg=(0, 1.0, 0))  # 9 px
-    covariance = np.diag([1e-6] * 3 + [np.deg2rad(1) ** 2] * 3)
+    off = rigid(rotvec_deg=(0, 1.5, 0))  # 13 px
+    covariance = np.diag([1e-6] * 3 + [np.deg2rad(1.5) ** 2] * 3)
     without, with_it = ((found_in(m, other, off, of)[0] >= 0).sum() for of in (np.zeros((6, 6)), covariance))
     assert without < 0.5 * with_it and with_it > 300
 

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from slam_scenes import FPS, VIEW, random_map
 
+from dslab.slam.config import SlamConfig
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.invariants import check_map
-from dslab.slam.map.map import MIN_OBSERVATIONS
+from dslab.slam.map.map import MIN_OBSERVATIONS, Map
+from dslab.slam.map_store import MapStore
 
 
 def test_invariants_hold_after_random_edits():
@@ -174,3 +176,16 @@ def test_taking_over_points_together_equals_one_by_one():
     assert joined > 3
     assert arrays_of(at_once) == arrays_of(one_by_one)
     check_map(at_once)
+
+
+def test_keypoints_of_a_new_map_are_as_noisy_as_those_of_the_last_one():
+    store = MapStore(SlamConfig())
+    first, second = Map(0, VIEW), Map(1, VIEW)
+    store.add(first)
+    for variance in (0.2, 0.4):
+        first.noise.note(variance)
+    assert first.noise2 == pytest.approx(0.3)  # the first that is told counts alone
+    store.add(second)
+    assert second.noise2 == pytest.approx(0.3)
+    second.noise.note(0.9)
+    assert second.noise2 == pytest.approx(0.5) and first.noise2 == pytest.approx(0.3)
