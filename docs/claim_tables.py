@@ -109,6 +109,34 @@ def claim_direction() -> str:
     return table(header, rows)
 
 
+def claim_buffer() -> str:
+    """Seconds of buffer, and what they bring and cost."""
+    at: dict[tuple[str, str], dict[str, str]] = {}
+    for row in _claim("buffer")["estimates"]:
+        share = row["measure"] in ("rescued", "failed", "wrong")
+        cell = (interval_of_share if share else with_ends)({end: row[end] for end in ENDS})
+        at.setdefault((row["condition"], row["variant"]), {})[row["measure"]] = cell
+    names = "rescued", "to_repair_s", "recovery_cpu_s", "buffer_mb", "failed"
+    rows = []
+    for (condition, variant), of in at.items():
+        system, _, seconds = variant.partition("-")
+        stress = describe_kind(condition.split("/")[1])
+        rows.append((stress, system, seconds, *(of.get(name, "") for name in names)))
+    header = "stress", "system", "buffer, s", "rescued", "to a rescue, s", "CPU, s", "MB", "fails"
+    return table(header, rows)
+
+
+def claim_dichotomy() -> str:
+    """Runs by the share of their path that the largest map covers."""
+    names = "below", "between", "above"
+    rows = [
+        (part["variant"], part["runs"], *(interval_of_share(part[name]) for name in names))
+        for part in _claim("dichotomy")["middle"]
+        if part["between"]
+    ]
+    return table(("system", "runs", "under 60 %", "60 to 95 %", "more"), rows)
+
+
 def _points(difference: Interval) -> str:
     value, low, high = (f"{round(100 * end) + 0:d}" for end in astuple(difference))
     return f"{value} [{low}, {high}]"

@@ -24,12 +24,13 @@ from dslab.experiments.runs.slam_settings import factory_of, parse_slam_settings
 from dslab.sim.depth_thumbnails import depth_renderer
 from dslab.sim.frame_plan import ideal_camera, taking_intrinsics
 from dslab.sim.sequence import Sequence
-from dslab.slam.association._kernels import CHI2_99, spread_of_pixel
+from dslab.slam.association._kernels import spread_of_pixel
 from dslab.slam.core._frame_kernels import motion_between
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.results import RelativePose
 from dslab.slam.factory import DIRECT, SYSTEMS
 from dslab.slam.map.map import Map
+from dslab.slam.optimization.student import CHI2_99
 from dslab.slam.tracking.local_map import local_map
 
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -240,7 +241,8 @@ def _in_window(frame: Frame, m: Map, p: int, xy: np.ndarray, octave: int) -> boo
     """Whether a keypoint lies in the window in which a point was sought."""
     assert frame.sought is not None
     a, view, (T, covariance) = m.arrays, m.view, frame.sought
-    u, v, z, uu, uv, vv = spread_of_pixel(view, T, a.pt_xyz[p], a.pt_covariance[p] * m.noise2, covariance)
+    J = np.zeros((2, 6))
+    u, v, z, uu, uv, vv = spread_of_pixel(view, T, a.pt_xyz[p], a.pt_covariance[p], m.noise2, covariance, J)
     if z <= 0:
         return False
     own = m.noise2 / view.inv_sigma2[octave]

@@ -7,7 +7,7 @@ the keypoints shows it, are
 
 with the error e_i of the keypoint from the predicted pixel, its covariance S, the density λ of the keypoints
 of its octave and the distance d_i of descriptors: probabilistic data association. Errors are of Student's t,
-see ``uncertain_pose.TAILS``.
+see ``slam.optimization.student``.
 
 Source: Bar-Shalom, Daum, Huang, "The probabilistic data association filter", IEEE Control Systems Magazine
 29(6), 2009, without its gate's probability, which is .99 here.
@@ -18,11 +18,10 @@ from numba import njit
 
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.matching.guided import in_view, project
-from dslab.slam.optimization.uncertain_pose import SAME_SURFACE, TAILS, density_at
+from dslab.slam.optimization.student import CHI2_99, density_at
+from dslab.slam.optimization.uncertain_pose import SAME_SURFACE, of_point
 
-CHI2_99 = (TAILS - 2.0) * (0.01 ** (-2.0 / TAILS) - 1.0)
-"""Squared normalised error in a window of 99 %: P(more) = (1 + it / (ν - 2))^(-ν / 2), by integration."""
-_OCTAVE_SPREAD = 1.0
+OCTAVE_SPREAD = 1.0
 """Standard deviation of an octave about the predicted one: of rounding, and of the corner's own scale."""
 _MIN_COSINE = 0.5
 """Between the direction of view and a point's mean one: Mur-Artal et al., 2015, V-D."""
@@ -42,49 +41,84 @@ def density_of(octave, levels, area):
 
 
 @njit(cache=True, nogil=True)
-def spread_of_pixel(view, T, xyz, point_covariance, pose_covariance):
+def spread_of_pixel(view, T, xyz, point_covariance, noise2, pose_covariance, J):
     """Where a point is expected, and the covariance of that: (u, v, z, uu, uv, vv); z <= 0 behind the camera.
 
     Args:
         view: ViewGeometry.
         T: (4, 4) pose.
         xyz: (3,) point.
-        point_covariance: (6,) of it, map frame.
+        point_covariance: (6,) of it at the noise that the view says, map frame.
+        noise2: variance of the keypoints over that.
         pose_covariance: (6, 6) of a twist from the left.
+        J: (2, 6) room for the derivatives by that, zeros at [0, 1] and [1, 0].
     """
     u, v, z = project(T, view, xyz)
     if z <= 0:
         return 0.0, 0.0, -1.0, 0.0, 0.0, 0.0
     x, y = (u - view.cx) / view.fx, (v - view.cy) / view.fy
     fu, fv = view.fx / z, view.fy / z
-    Ju = np.array([fu, 0.0, -fu * x, -view.fx * x * y, view.fx * (1.0 + x * x), -view.fx * y])
-    Jv = np.array([0.0, fv, -fv * y, -view.fy * (1.0 + y * y), view.fy * x * y, view.fy * x])
-    uu, uv, vv = 0.0, 0.0, 0.0
+    uu, uv, vv = of_point(T, x, y, fu, fv, point_covariance)
+    uu, uv, vv = noise2 * uu, noise2 * uv, noise2 * vv
+    J[0, 0], J[0, 2], J[0, 3] = fu, -fu * x, -view.fx * x * y
+    J[0, 4], J[0, 5] = view.fx * (1.0 + x * x), -view.fx * y
+    J[1, 1], J[1, 2], J[1, 3] = fv, -fv * y, -view.fy * (1.0 + y * y)
+    J[1, 4], J[1, 5] = view.fy * x * y, view.fy * x
     for r in range(6):
         a, b = 0.0, 0.0
         for c in range(6):
-            a += pose_covariance[r, c] * Ju[c]
-            b += pose_covariance[r, c] * Jv[c]
-        uu += Ju[r] * a
-        uv += Ju[r] * b
-        vv += Jv[r] * b
-    p = point_covariance
-    a0, a1, a2 = fu * (T[0, 0] - x * T[2, 0]), fu * (T[0, 1] - x * T[2, 1]), fu * (T[0, 2] - x * T[2, 2])
-    b0, b1, b2 = fv * (T[1, 0] - y * T[2, 0]), fv * (T[1, 1] - y * T[2, 1]), fv * (T[1, 2] - y * T[2, 2])
-    c0, c1, c2 = (
-        p[0] * a0 + p[1] * a1 + p[2] * a2,
-        p[1] * a0 + p[3] * a1 + p[4] * a2,
-        p[2] * a0 + p[4] * a1 + p[5] * a2,
-    )
-    uu += a0 * c0 + a1 * c1 + a2 * c2
-    uv += b0 * c0 + b1 * c1 + b2 * c2
-    c0, c1, c2 = (
-        p[0] * b0 + p[1] * b1 + p[2] * b2,
-        p[1] * b0 + p[3] * b1 + p[4] * b2,
-        p[2] * b0 + p[4] * b1 + p[5] * b2,
-    )
-    vv += b0 * c0 + b1 * c1 + b2 * c2
+            a += pose_covariance[r, c] * J[0, c]
+            b += pose_covariance[r, c] * J[1, c]
+        uu += J[0, r] * a
+        uv += J[0, r] * b
+        vv += J[1, r] * b
     return u, v, z, uu, uv, vv
+
+
+@njit(cache=True, nogil=True)
+def camera_at(T):
+    """(3,) centre of a camera of a pose (4, 4)."""
+    centre = np.zeros(3)
+    for r in range(3):
+        for c in range(3):
+            centre[c] -= T[r, c] * T[r, 3]
+    return centre
+
+
+@njit(cache=True, nogil=True)
+def expected_view(view, T, centre, xyz, normal, max_distance):
+    """Where a view should show a point, and on which level: (u, v, octave); the octave NaN if it should not.
+
+    Args:
+        view: ViewGeometry.
+        T: (4, 4) pose.
+        centre: (3,) of the camera, map frame.
+        xyz: (3,) point.
+        normal: (3,) mean direction from which it was seen.
+        max_distance: at which it is on level 0.
+    """
+    u, v, z = project(T, view, xyz)
+    if z <= 0 or not in_view(view, u, v):
+        return 0.0, 0.0, np.nan
+    dx, dy, dz = xyz[0] - centre[0], xyz[1] - centre[1], xyz[2] - centre[2]
+    distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+    octave = np.log(max_distance / distance) / view.log_scale
+    turned = dx * normal[0] + dy * normal[1] + dz * normal[2] < _MIN_COSINE * distance
+    if turned or abs(octave - 0.5 * (len(view.scale) - 1)) > 0.5 * len(view.scale) + OCTAVE_SPREAD:
+        return 0.0, 0.0, np.nan
+    return u, v, octave
+
+
+@njit(cache=True, nogil=True)
+def detection(found, visible):
+    """Chance that a point is detected where it is, by how often it was; before that four of five are."""
+    return min((found + 4.0) / (visible + 5.0), 0.99)
+
+
+@njit(cache=True, nogil=True)
+def of_octave(apart):
+    """Density of an octave about the one that is expected."""
+    return 0.3989 / OCTAVE_SPREAD * np.exp(-0.5 * (apart / OCTAVE_SPREAD) ** 2)
 
 
 @njit(cache=True, nogil=True)
@@ -125,7 +159,7 @@ def likeliest(
         for i in range(cell_start[r * view.cols + c0], cell_start[r * view.cols + c1 + 1]):
             e = first + i
             apart = octave[e] - level
-            if abs(apart) > 3.0 * _OCTAVE_SPREAD:
+            if abs(apart) > 3.0 * OCTAVE_SPREAD:
                 continue
             du, dv = xy[e, 0] - u, xy[e, 1] - v
             if abs(du) > half_u or abs(dv) > half_v:
@@ -136,8 +170,7 @@ def likeliest(
             chi2 = (c * du * du - 2.0 * uv * du * dv + a * dv * dv) / det
             if chi2 > CHI2_99:
                 continue
-            of_octave = 0.3989 / _OCTAVE_SPREAD * np.exp(-0.5 * (apart / _OCTAVE_SPREAD) ** 2)
-            likely = detected * density_at(chi2, det) * of_octave / density[octave[e]]
+            likely = detected * density_at(chi2, det) * of_octave(apart) / density[octave[e]]
             likely *= odds[hamming256(query, descriptors[e])]
             total += likely
             if likely > best:
@@ -172,33 +205,24 @@ def associate(
     n = len(octave)
     side = (view.x_max - view.x_min) / CELLS
     cells = CELLS * (int((view.y_max - view.y_min) / side) + 1)
-    told, count = np.zeros((cells, len(_RATES))), np.zeros(cells)
+    told, product, count = np.zeros((cells, len(_RATES))), np.ones((cells, len(_RATES))), np.zeros(cells)
     point = np.full(n, -1, np.int32)
     area = np.zeros(n)
     held = np.zeros(n)
-    ox, oy, oz = 0.0, 0.0, 0.0
-    for r in range(3):
-        t = T_cam_map[r, 3]
-        ox -= T_cam_map[r, 0] * t
-        oy -= T_cam_map[r, 1] * t
-        oz -= T_cam_map[r, 2] * t
+    centre, J = camera_at(T_cam_map), np.zeros((2, 6))
     for p in candidates:
         if p < 0 or m.pt_bad[p]:
             continue
-        u, v, z = project(T_cam_map, view, m.pt_xyz[p])
-        if z <= 0 or not in_view(view, u, v):
-            continue
-        dx, dy, dz = m.pt_xyz[p, 0] - ox, m.pt_xyz[p, 1] - oy, m.pt_xyz[p, 2] - oz
-        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        along = dx * m.pt_normal[p, 0] + dy * m.pt_normal[p, 1] + dz * m.pt_normal[p, 2]
-        level = np.log(m.pt_max_distance[p] / distance) / view.log_scale
-        if along < _MIN_COSINE * distance or not -1.5 <= level <= len(view.scale) + 0.5:
+        u, v, level = expected_view(
+            view, T_cam_map, centre, m.pt_xyz[p], m.pt_normal[p], m.pt_max_distance[p]
+        )
+        if np.isnan(level):
             continue
         m.pt_visible[p] += observing
-        u, v, z, uu, uv, vv = spread_of_pixel(
-            view, T_cam_map, m.pt_xyz[p], m.pt_covariance[p] * noise2, pose_covariance
+        u, v, _, uu, uv, vv = spread_of_pixel(
+            view, T_cam_map, m.pt_xyz[p], m.pt_covariance[p], noise2, pose_covariance, J
         )
-        detected = min((m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0), 0.99)
+        detected = detection(m.pt_found[p], m.pt_visible[p])
         i, posterior, window, shown = likeliest(
             view, xy, octave, descriptors, cell_start, np.int64(0), u, v, uu, uv, vv, noise2, level, density,
             detected, m.pt_descriptor[p], odds,
@@ -206,10 +230,13 @@ def associate(
         cell = int((v - view.y_min) / side) * CELLS + min(int((u - view.x_min) / side), CELLS - 1)
         count[cell] += 1.0
         for r in range(len(_RATES)):
-            told[cell, r] += np.log(1.0 + _RATES[r] * (shown - detected))
+            product[cell, r] *= 1.0 + _RATES[r] * (shown - detected)
+            if not 1e-100 < product[cell, r] < 1e100:
+                told[cell, r] += np.log(product[cell, r])
+                product[cell, r] = 1.0
         if i >= 0 and posterior >= least and posterior > held[i]:
             point[i], area[i], held[i] = p, window, posterior
-    return point, area, _evidence(told, count)
+    return point, area, _evidence(told + np.log(product), count)
 
 
 @njit(cache=True, nogil=True)

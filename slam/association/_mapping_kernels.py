@@ -3,29 +3,94 @@
 import numpy as np
 from numba import njit
 
-from dslab.slam.association._kernels import likeliest, spread_of_pixel
+from dslab.slam.association._kernels import (
+    OCTAVE_SPREAD,
+    camera_at,
+    detection,
+    expected_view,
+    likeliest,
+    of_octave,
+    spread_of_pixel,
+)
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
-from dslab.slam.matching.guided import in_view
-from dslab.slam.optimization._triangulation import fundamental, triangulate
+from dslab.slam.optimization._triangulation import triangulate
 
-_BAND = 2.58
-"""Standard deviations to either side of a line that hold 99 %."""
-_OCTAVE_SPREAD = 1.0
-"""Standard deviation of the octave of a keypoint about that of another one of the same point."""
+BAND = 3.2555
+"""Deviations to either side of a line that hold 99 % of Student's t with four degrees of freedom: 4.604 times
+its scale, which is the deviation over the root of two."""
+_AT_ZERO = 0.5303
+"""Its density at 0, of unit variance."""
 _AGAIN = 0.5
 """Share of the free keypoints of a keyframe that another one shows too."""
-_AROUND, _ANYWHERE = 0.3, 0.2
-"""Spread of the logarithm of depth about that of the points around, and the share that has any depth."""
-_MIN_COSINE = 0.5
-"""Between the direction of view and a point's mean one: Mur-Artal et al., 2015, V-D."""
+_AROUND = 7
+"""Points nearest in the image that say where another one is."""
+_LEAST_SPREAD, _OF_SPREAD = 0.01, 0.6
+"""The logarithm of a depth over theirs is of Student's t with two degrees of freedom. On the same surface its
+scale is this, and so much of the spread of their own logarithms (docs/notebook/base-decides.md)."""
+_ELSEWHERE_RAD, _ELSEWHERE = 0.4, 0.4
+"""Half of the points so far from those around are of another surface; the scale of the logarithm there."""
+_LEAST_DEPTH = 1e-3
+"""In the second camera, over that in the first."""
+
+
+@njit(cache=True, nogil=True)
+def depths_around(m, view, keyframe):
+    """Where the points around each free keypoint of a keyframe say that its own is.
+
+    Args:
+        m: MapArrays.
+        view: ViewGeometry.
+        keyframe: row.
+
+    Returns:
+        (n_keypoints, 3): depth, 0 where no point says one; scale of its logarithm on the same surface; chance
+        of another surface.
+    """
+    start, size = m.kf_start[keyframe], m.kf_start[keyframe + 1] - m.kf_start[keyframe]
+    T = m.kf_T_cam_map[keyframe]
+    found = np.zeros((size, 3))
+    at, depth = np.empty((size, 2)), np.empty(size)
+    n = 0
+    for e in range(start, start + size):
+        p = m.kp_point[e]
+        if p >= 0:
+            z = T[2, 0] * m.pt_xyz[p, 0] + T[2, 1] * m.pt_xyz[p, 1] + T[2, 2] * m.pt_xyz[p, 2] + T[2, 3]
+            if z > 1e-9:
+                at[n, 0], at[n, 1], depth[n] = m.kp_xy[e, 0], m.kp_xy[e, 1], z
+                n += 1
+    around = min(_AROUND, n)
+    if around == 0:
+        return found
+    away, value = np.empty(around), np.empty(around)
+    for i in range(size):
+        if m.kp_point[start + i] >= 0:
+            continue
+        x, y = m.kp_xy[start + i, 0], m.kp_xy[start + i, 1]
+        away[:] = np.inf
+        for j in range(n):
+            squared = (at[j, 0] - x) ** 2 + (at[j, 1] - y) ** 2
+            if squared < away[-1]:
+                place = around - 1
+                while place > 0 and away[place - 1] > squared:
+                    away[place], value[place] = away[place - 1], value[place - 1]
+                    place -= 1
+                away[place], value[place] = squared, depth[j]
+        ordered = np.sort(value)
+        outer = around // 6  # of seven the outermost two say nothing of the spread
+        spread = 0.5 * np.log(ordered[around - 1 - outer] / ordered[outer])
+        found[i, 0] = ordered[around // 2]
+        found[i, 1] = np.sqrt(_LEAST_SPREAD**2 + (_OF_SPREAD * spread) ** 2)
+        apart = np.sqrt(away.mean()) / view.fx
+        found[i, 2] = apart / (apart + _ELSEWHERE_RAD)
+    return found
 
 
 @njit(cache=True, nogil=True)
 def points_along_rays(
-    m, view, keyframe, neighbour, noise2, min_depth, expected_depth, max_error, density, odds, least
+    m, view, keyframe, neighbour, noise2, min_depth, around, max_error, density, odds, least
 ):
-    """Find free keypoints of a keyframe again in another one, along epipolar lines, and triangulate them.
+    """Find free keypoints of a keyframe again in another one, along their rays, and triangulate them.
 
     A ray is searched if at the depth of the points around, or without any at the depth that is found, that
     depth would be known well enough: to ask it of the depth that is found would choose those that their noise
@@ -37,7 +102,7 @@ def points_along_rays(
         keyframe, neighbour: rows.
         noise2: variance of the keypoints over what the view says.
         min_depth: least depth of a point in ``keyframe``.
-        expected_depth: (n_keypoints,) of the points around each keypoint, 0 where there are none.
+        around: (n_keypoints, 3) as of :func:`depths_around`.
         max_error: largest standard deviation of a depth over itself.
         density: (levels,) keypoints per px² of every octave of ``neighbour``.
         odds: (257,) by distance of descriptors.
@@ -48,12 +113,11 @@ def points_along_rays(
         points (n, 3).
     """
     T_1, T_2 = m.kf_T_cam_map[keyframe], m.kf_T_cam_map[neighbour]
-    F = fundamental(T_1, T_2, view)
     R = np.ascontiguousarray(T_2[:3, :3]) @ np.ascontiguousarray(T_1[:3, :3].T)
     t = T_2[:3, 3] - R @ np.ascontiguousarray(T_1[:3, 3])
     start, end = m.kf_start[keyframe], m.kf_start[keyframe + 1]
     first = m.kf_start[neighbour]
-    used = np.zeros(m.kf_start[neighbour + 1] - first, np.bool_)
+    free = m.kp_point[first : m.kf_start[neighbour + 1]] < 0
     rows_1, rows_2 = np.empty(end - start, np.int32), np.empty(end - start, np.int32)
     points = np.empty((end - start, 3))
     n = 0
@@ -62,14 +126,14 @@ def points_along_rays(
             continue
         x, y = (m.kp_xy[a, 0] - view.cx) / view.fx, (m.kp_xy[a, 1] - view.cy) / view.fy
         d = R[:, 0] * x + R[:, 1] * y + R[:, 2]
-        expected = expected_depth[a - start]
-        noise_a = noise2 / view.inv_sigma2[m.kp_octave[a]]
-        if expected > 0 and _error(view, d, t, 1.0 / expected, noise_a, noise_a) > max_error:
+        expected, scale, elsewhere = around[a - start]
+        own = noise2 / view.inv_sigma2[m.kp_octave[a]]
+        if d[2] < _LEAST_DEPTH or (expected > 0 and _error(view, d, t, 1.0 / expected, own, own) > max_error):
             continue
         found = _along_ray(
-            view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kp_point, m.kf_cells[neighbour], first, used, a,
-            F, d, t, np.sqrt(x * x + y * y + 1.0), noise2, noise_a, min_depth, expected, max_error, density,
-            odds, least,
+            view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[neighbour], first, free,
+            np.int64(m.kp_octave[a]), m.kp_descriptor[a], d, t, np.sqrt(x * x + y * y + 1.0), noise2, own,
+            min_depth, expected, scale, elsewhere, max_error, density, odds, least,
         )  # fmt: skip
         if found < 0:
             continue
@@ -78,7 +142,7 @@ def points_along_rays(
             T_1, T_2, x, y, (m.kp_xy[b, 0] - view.cx) / view.fx, (m.kp_xy[b, 1] - view.cy) / view.fy
         )
         if np.isfinite(px + py + pz):
-            used[found] = True
+            free[found] = False
             rows_1[n], rows_2[n] = a, b
             points[n, 0], points[n, 1], points[n, 2] = px, py, pz
             n += 1
@@ -96,7 +160,7 @@ def _error(view, d, t, inverse, noise_a, noise_b):
         noise_a, noise_b: variances of the keypoints, px².
     """
     z = d[2] + inverse * t[2]
-    if z <= 1e-3 or inverse <= 0:
+    if z <= _LEAST_DEPTH or inverse <= 0:
         return np.inf
     u, v = (d[0] + inverse * t[0]) / z, (d[1] + inverse * t[1]) / z
     along = np.hypot(view.fx * (t[0] - u * t[2]), view.fy * (t[1] - v * t[2])) / z
@@ -105,70 +169,72 @@ def _error(view, d, t, inverse, noise_a, noise_b):
 
 @njit(cache=True, nogil=True)
 def _along_ray(
-    view, kp_xy, kp_octave, kp_descriptor, kp_point, cells, first, used, a, F, d, t, length, noise2,
-    noise_a, min_depth, expected, max_error, density, odds, least,
+    view, kp_xy, kp_octave, kp_descriptor, cells, first, free, octave, descriptor, d, t, length, noise2, own,
+    min_depth, expected, scale, elsewhere, max_error, density, odds, least,
 ):  # fmt: skip
-    """Free keypoint that shows the same point as keypoint ``a``, by its posterior; -1 for none."""
-    x, y = kp_xy[a, 0], kp_xy[a, 1]
-    la = F[0, 0] * x + F[0, 1] * y + F[0, 2]
-    lb = F[1, 0] * x + F[1, 1] * y + F[1, 2]
-    lc = F[2, 0] * x + F[2, 1] * y + F[2, 2]
-    norm = np.sqrt(la * la + lb * lb)
-    if norm < 1e-9 or d[2] < 1e-3:
+    """Free keypoint that shows the point of a ray, by its posterior; -1 for none.
+
+    At the inverse depth i the ray is seen at P + s W, with P where it is seen at infinity, W what a pixel
+    moves by at first, and s = i / (d_z + i t_z). So the keypoints to look at lie in a band about a segment.
+    """
+    P_u, P_v = view.fx * d[0] / d[2] + view.cx, view.fy * d[1] / d[2] + view.cy
+    W_u, W_v = view.fx * (t[0] - d[0] / d[2] * t[2]), view.fy * (t[1] - d[1] / d[2] * t[2])
+    W = np.sqrt(W_u * W_u + W_v * W_v)
+    if W < 1e-9:
         return -1
-    nearest = 1.0 / max(min_depth, (1e-3 * min_depth - t[2]) / d[2])  # in front of both
-    z = d[2] + nearest * t[2]
-    x_0 = view.fx * (d[0] + nearest * t[0]) / z + view.cx
-    y_0 = view.fy * (d[1] + nearest * t[1]) / z + view.cy
-    x_1, y_1 = view.fx * d[0] / d[2] + view.cx, view.fy * d[1] / d[2] + view.cy
-    margin = _BAND * np.sqrt(2.0 * noise2 / view.inv_sigma2[-1])
-    c0 = max(int(np.floor((min(x_0, x_1) - margin - view.x_min) / view.cell)), 0)
-    c1 = min(int(np.floor((max(x_0, x_1) + margin - view.x_min) / view.cell)), view.cols - 1)
-    r0 = max(int(np.floor((min(y_0, y_1) - margin - view.y_min) / view.cell)), 0)
-    r1 = min(int(np.floor((max(y_0, y_1) + margin - view.y_min) / view.cell)), view.rows - 1)
+    nearest = 1.0 / min_depth
+    if t[2] < 0:  # in front of the second camera too
+        nearest = min(nearest, (d[2] - _LEAST_DEPTH) / -t[2])
+    s_end = nearest / (d[2] + nearest * t[2])
+    margin = BAND * np.sqrt(2.0 * noise2 / view.inv_sigma2[-1])
     total, best, found = 1.0 - _AGAIN, 0.0, -1
-    for r in range(r0, r1 + 1):
-        # Of the row of cells those that the band about the line crosses; the first and the last row also hold
-        # the keypoints beyond them.
-        left, right = c0, c1
-        if abs(la) > 1e-9 * norm and 0 < r < view.rows - 1:
-            top, bottom = view.y_min + r * view.cell, view.y_min + (r + 1) * view.cell
-            u, v = (-lc - lb * top) / la, (-lc - lb * bottom) / la
-            half = margin * norm / abs(la)
-            left = max(left, int(np.floor((max(min(u, v) - half, view.x_min) - view.x_min) / view.cell)))
-            right = min(right, int(np.floor((min(max(u, v) + half, view.x_max) - view.x_min) / view.cell)))
-        if left > right:
+    for r in range(view.rows):
+        # What of the segment is within reach of this row of cells; the outer ones hold what lies beyond.
+        s_0, s_1 = 0.0, s_end
+        top = -np.inf if r == 0 else view.y_min + r * view.cell - margin
+        bottom = np.inf if r == view.rows - 1 else view.y_min + (r + 1) * view.cell + margin
+        if W_v > 0:
+            s_0, s_1 = max(s_0, (top - P_v) / W_v), min(s_1, (bottom - P_v) / W_v)
+        elif W_v < 0:
+            s_0, s_1 = max(s_0, (bottom - P_v) / W_v), min(s_1, (top - P_v) / W_v)
+        elif not top < P_v < bottom:
             continue
+        if s_0 > s_1:
+            continue
+        u_0, u_1 = P_u + s_0 * W_u, P_u + s_1 * W_u
+        left = _column(view, min(u_0, u_1) - margin)
+        right = _column(view, max(u_0, u_1) + margin)
         for i in range(cells[r * view.cols + left], cells[r * view.cols + right + 1]):
+            if not free[i]:
+                continue
             b = first + i
-            if used[i] or kp_point[b] >= 0:
+            du, dv = kp_xy[b, 0] - P_u, kp_xy[b, 1] - P_v
+            off = (W_u * dv - W_v * du) / W
+            s = (W_u * du + W_v * dv) / (W * W)
+            if abs(off) > margin or not 0 < s <= s_end:
                 continue
-            off = (la * kp_xy[b, 0] + lb * kp_xy[b, 1] + lc) / norm
-            if abs(off) > margin:
-                continue
-            # The inverse depth at which the ray comes closest to the keypoint.
-            xb, yb = (kp_xy[b, 0] - view.cx) / view.fx, (kp_xy[b, 1] - view.cy) / view.fy
-            du, dv = t[0] - xb * t[2], t[1] - yb * t[2]
-            inverse = -(du * (d[0] - xb * d[2]) + dv * (d[1] - yb * d[2])) / (du * du + dv * dv)
+            inverse = s * d[2] / (1.0 - s * t[2])
             z = d[2] + inverse * t[2]
-            if not 0 < inverse <= nearest or z <= 1e-3:
+            other = noise2 / view.inv_sigma2[kp_octave[b]]
+            variance = own / (z * z) + other
+            if off * off > BAND * BAND * variance:
                 continue
-            noise_b = noise2 / view.inv_sigma2[kp_octave[b]]
-            variance = noise_a / (z * z) + noise_b
-            if off * off > _BAND * _BAND * variance:
+            if expected <= 0 and _error(view, d, t, inverse, own, other) > max_error:
                 continue
-            if expected <= 0 and _error(view, d, t, inverse, noise_a, noise_b) > max_error:
+            px, py = d[0] + inverse * t[0], d[1] + inverse * t[1]
+            away = np.sqrt(px * px + py * py + z * z) / length
+            apart = kp_octave[b] - octave + np.log(away) / view.log_scale
+            if abs(apart) > 3.0 * OCTAVE_SPREAD:
                 continue
-            u, v = (d[0] + inverse * t[0]) / z, (d[1] + inverse * t[1]) / z
-            speed = np.hypot(view.fx * (t[0] - u * t[2]), view.fy * (t[1] - v * t[2])) / z  # px per 1/depth
-            away = np.sqrt((d[0] + inverse * t[0]) ** 2 + (d[1] + inverse * t[1]) ** 2 + z * z) / length
-            apart = kp_octave[b] - kp_octave[a] + np.log(away) / view.log_scale
-            if abs(apart) > 3.0 * _OCTAVE_SPREAD:
-                continue
-            likely = _AGAIN * _of_inverse_depth(inverse, expected, nearest) / speed
-            likely *= 0.3989 / np.sqrt(variance) * np.exp(-0.5 * off * off / variance)
-            likely *= 0.3989 / _OCTAVE_SPREAD * np.exp(-0.5 * (apart / _OCTAVE_SPREAD) ** 2)
-            likely *= odds[hamming256(kp_descriptor[a], kp_descriptor[b])] / density[kp_octave[b]]
+            likely = (
+                _AGAIN
+                * _of_inverse_depth(inverse, expected, scale, elsewhere, nearest)
+                / (W * d[2] / (z * z))
+            )
+            likely *= _AT_ZERO / np.sqrt(variance) * (1.0 + 0.5 * off * off / variance) ** -2.5
+            likely *= (
+                of_octave(apart) * odds[hamming256(descriptor, kp_descriptor[b])] / density[kp_octave[b]]
+            )
             total += likely
             if likely > best:
                 best, found = likely, i
@@ -176,21 +242,29 @@ def _along_ray(
 
 
 @njit(cache=True, nogil=True)
-def _of_inverse_depth(inverse, expected, nearest):
-    """Density of an inverse depth: about that of the points around, or anywhere up to the nearest."""
-    anywhere = 1.0 / nearest
+def _column(view, u):
+    """Column of cells in which a keypoint lies; the outer ones hold what lies beyond them."""
+    return int(min(max((u - view.x_min) / view.cell, 0.0), view.cols - 1.0))
+
+
+@njit(cache=True, nogil=True)
+def _of_inverse_depth(inverse, expected, scale, elsewhere, nearest):
+    """Density of an inverse depth: by the points around, or anywhere up to the nearest."""
     if expected <= 0:
-        return anywhere
-    z = np.log(inverse * expected) / _AROUND
-    return (1.0 - _ANYWHERE) * 0.3989 / (_AROUND * inverse) * np.exp(-0.5 * z * z) + _ANYWHERE * anywhere
+        return 1.0 / nearest
+    z = np.log(inverse * expected)
+    same, other = (z / scale) ** 2, (z / _ELSEWHERE) ** 2
+    density = (1.0 - elsewhere) / (scale * (1.0 + 0.5 * same) ** 1.5)
+    density += elsewhere / (_ELSEWHERE * (1.0 + 0.5 * other) ** 1.5)
+    return 0.35355 * density / inverse
 
 
 @njit(cache=True, nogil=True)
 def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
     """Find points in a keyframe that does not observe them yet; those that are one become one.
 
-    A point found at a free keypoint gains an observation; one found at another point's keypoint is fused with
-    that point, and the one with more observations is kept.
+    A point found at a free keypoint gains an observation; of two at one keypoint that of which more is known
+    stays, with the observations of both.
 
     Args:
         m: MapArrays, changed in place.
@@ -207,28 +281,19 @@ def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
     """
     T = m.kf_T_cam_map[keyframe]
     first = m.kf_start[keyframe]
-    exact = np.zeros((6, 6))
-    ox = -(T[0, 0] * T[0, 3] + T[1, 0] * T[1, 3] + T[2, 0] * T[2, 3])
-    oy = -(T[0, 1] * T[0, 3] + T[1, 1] * T[1, 3] + T[2, 1] * T[2, 3])
-    oz = -(T[0, 2] * T[0, 3] + T[1, 2] * T[1, 3] + T[2, 2] * T[2, 3])
+    exact, centre, J = np.zeros((6, 6)), camera_at(T), np.zeros((2, 6))
     done = 0
     for q in range(len(candidates)):
         p = np.int64(candidates[q])
         if p < 0 or m.pt_bad[p] or observed_in(m, p, keyframe) >= 0:
             continue
-        u, v, z, uu, uv, vv = spread_of_pixel(view, T, m.pt_xyz[p], m.pt_covariance[p] * noise2, exact)
-        if z <= 0 or not in_view(view, u, v):
+        u, v, level = expected_view(view, T, centre, m.pt_xyz[p], m.pt_normal[p], m.pt_max_distance[p])
+        if np.isnan(level):
             continue
-        dx, dy, dz = m.pt_xyz[p, 0] - ox, m.pt_xyz[p, 1] - oy, m.pt_xyz[p, 2] - oz
-        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        along = dx * m.pt_normal[p, 0] + dy * m.pt_normal[p, 1] + dz * m.pt_normal[p, 2]
-        level = np.log(m.pt_max_distance[p] / distance) / view.log_scale
-        if along < _MIN_COSINE * distance or not -1.5 <= level <= len(view.scale) + 0.5:
-            continue
-        detected = min((m.pt_found[p] + 4.0) / (m.pt_visible[p] + 5.0), 0.99)
+        u, v, _, uu, uv, vv = spread_of_pixel(view, T, m.pt_xyz[p], m.pt_covariance[p], noise2, exact, J)
         i, posterior, _, _ = likeliest(
             view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[keyframe], first, u, v, uu, uv, vv,
-            noise2, level, density, detected, m.pt_descriptor[p], odds,
+            noise2, level, density, detection(m.pt_found[p], m.pt_visible[p]), m.pt_descriptor[p], odds,
         )  # fmt: skip
         if i < 0 or posterior < least:
             continue
@@ -237,9 +302,15 @@ def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
         if other < 0:
             if add_observation(m, e, p):
                 refresh_point(m, p, view)
-        elif m.pt_observations[other] > m.pt_observations[p]:
+        elif _variance(m.pt_covariance[other]) < _variance(m.pt_covariance[p]):
             replace_point(m, p, other, view)
         else:
             replace_point(m, other, p, view)
         done += 1
     return done
+
+
+@njit(cache=True, nogil=True)
+def _variance(covariance):
+    """Trace of a symmetric (3, 3) in its six numbers."""
+    return covariance[0] + covariance[3] + covariance[5]

@@ -98,6 +98,8 @@ def relative_covariance(m, view, n_keyframes, keyframe, T_cam_map, points, octav
                 for c in range(3):
                     AV[r, c] = A[a, r, 0] * V[0, c] + A[a, r, 1] * V[1, c] + A[a, r, 2] * V[2, c]
             for b in range(n):
+                if seen[b] > seen[a]:
+                    continue  # the lower triangle is enough
                 for r in range(6):
                     for c in range(6):
                         H[6 * seen[a] + r, 6 * seen[b] + c] -= (

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from dslab.slam.association._kernels import density_of
-from dslab.slam.association._mapping_kernels import fuse_points, points_along_rays
+from dslab.slam.association._mapping_kernels import depths_around, fuse_points, points_along_rays
 from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
@@ -19,14 +19,16 @@ from dslab.slam.map.map import MIN_OBSERVATIONS, Map
 from dslab.slam.mapping._local_problem import local_problem
 from dslab.slam.mapping._triangulation_search import new_points, surrounding_depths
 from dslab.slam.matching.guided import fuse_into_keyframe
-from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
+from dslab.slam.optimization.bundle_adjustment import likeliest_bundle, local_bundle_adjust
 
 
 @settings
 class LocalMappingConfig:
     """Settings of local mapping."""
 
-    association: Literal["guided", "derived"] = setting("guided", "how keypoints of keyframes are matched")
+    association: Literal["guided", "derived"] = setting(
+        "guided", "how keypoints of keyframes are matched and how their errors weigh"
+    )
     max_depth_error: float = setting(0.1, "largest standard deviation of a new derived depth over itself")
     neighbours: int = setting(10, "covisible keyframes used for triangulation and fusion")
     min_baseline: float = setting(0.01, "least baseline for triangulation", unit=DEPTHS)
@@ -43,6 +45,8 @@ class LocalMappingConfig:
     redundancy: float = setting(0.9, "share of points well seen elsewhere that culls a keyframe", le=1)
 
 
+_ITERATIONS = 20
+"""Most steps of a bundle adjustment; it ends once they gain nothing."""
 _SURE = 0.9
 """Posterior of a match that the map is built on: a wrong one stays."""
 
@@ -106,10 +110,12 @@ class LocalMapper:
             fixed[0] = True
         if fixed.all() or not len(points):
             return
-        result, good = local_bundle_adjust(
+        derived = self.config.association == "derived"
+        adjusted = likeliest_bundle if derived else local_bundle_adjust
+        result, good = adjusted(
             T_cam_map, fixed, xyz, obs_camera, obs_point,
             a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]] / m.noise2,
-            view.fx, view.fy, view.cx, view.cy, self.config.robust_iterations,
+            view.fx, view.fy, view.cx, view.cy, _ITERATIONS if derived else self.config.robust_iterations,
         )  # fmt: skip
         with self.lock:
             a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
@@ -152,6 +158,8 @@ class LocalMapper:
         self._young = np.concatenate([self._young, *created])
 
     def _expected_depths(self, keyframe: int) -> np.ndarray:
+        if self.config.association == "derived":
+            return depths_around(self.map.arrays, self.map.view, keyframe)
         return surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
 
     def _triangulate(

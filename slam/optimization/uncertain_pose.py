@@ -15,6 +15,7 @@ from numba import njit
 
 from dslab.slam.optimization._cholesky import factor, solve, whole_rows
 from dslab.slam.optimization._se3 import orthonormalise, retract
+from dslab.slam.optimization.student import INFORMATION, density_at, weight_at
 
 PRIOR_WORTH = 30.0
 """Residuals that the noise of the sequence is worth beside those of a frame."""
@@ -25,10 +26,6 @@ SAME_SURFACE = 0.03
 the share of normalised errors inside their ellipsoid is to be measured before these rules are switched on."""
 CELLS = 8
 """To a row of the image, of those cells."""
-TAILS = 4.0
-"""Degrees of freedom of Student's t that the errors of right matches follow."""
-INFORMATION = (TAILS + 2.0) / (TAILS + 4.0) * TAILS / (TAILS - 2.0)
-"""Fisher's, of a bivariate t over that of a normal of the same variance."""
 _RIGHT, _WRONG = 8.0, 2.0
 """What is believed of the share of right matches before any is seen: as of ten."""
 _ANNEALED, _STEPS = 5, 12
@@ -100,39 +97,31 @@ def uncertain_pose(
 def _estimate(
     T, points, point_covariance, pixels, inv_sigma2, area, usual2, spread_px2, prior, intrinsics, cell_px
 ):
-    n = len(points)
-    start = T.copy()
-    right, weight = np.ones(n), np.ones(n)
-    errors = np.empty((n, 2))
-    S = np.empty((n, 3))
-    J = np.empty((n, 2, 6))
-    H, gradient, L, step = np.empty((6, 6)), np.empty(6), np.empty((6, 6)), np.empty(6)
+    start, trial = T.copy(), T.copy()
+    right = np.zeros(len(points))
+    H, L, rows = np.empty((6, 6)), np.empty((6, 6)), whole_rows(np.int64(6))
+    gradient, step = np.empty(6), np.empty(6)
     moved = np.zeros(6)  # from the start, to first order
-    rows = whole_rows(np.int64(6))
-    trial = T.copy()
     noise2, share = usual2, _RIGHT / (_RIGHT + _WRONG)
-    unknown = np.full((6, 6), np.inf)
-    extra = spread_px2
     determined = False
     for iteration in range(_STEPS):
         extra = spread_px2 * 0.25**iteration if iteration < _ANNEALED else 0.0
-        linearise(T, points, point_covariance, pixels, inv_sigma2, noise2, extra, intrinsics, errors, S, J)
-        share = _expect(errors, S, area, share, right, weight)
-        if extra <= noise2:
-            noise2 = _noise(errors, S, right, weight, inv_sigma2, usual2, noise2)
         H[:] = prior
         for r in range(6):
             gradient[r] = 0.0
             for c in range(6):
                 gradient[r] += prior[r, c] * moved[c]
-        for i in range(n):
-            if right[i] > 1e-6:
-                _add(J[i], errors[i], S[i], weight[i], weight[i], H, gradient)
+        share, told2 = _accumulate(
+            T, points, point_covariance, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics,
+            right, H, gradient,
+        )  # fmt: skip
+        if extra <= noise2:
+            noise2 = told2
         L[:] = H
         step[:] = -gradient
         if not factor(L, rows):
-            T[:] = start
-            return np.zeros(n), usual2, unknown, np.inf
+            determined = False
+            break
         solve(L, rows, step)
         gain = -np.dot(step, gradient)
         retract(T, step, trial)
@@ -143,132 +132,129 @@ def _estimate(
             break
     if not determined:
         T[:] = start
-        return np.zeros(n), usual2, unknown, np.inf
+        return np.zeros(len(points)), usual2, np.full((6, 6), np.inf), np.inf
     orthonormalise(T)
-    linearise(T, points, point_covariance, pixels, inv_sigma2, noise2, 0.0, intrinsics, errors, S, J)
-    _expect(errors, S, area, share, right, weight)
-    covariance, drawn = _certainty(J, errors, S, right, weight, pixels, cell_px, prior)
+    covariance, drawn = _certainty(
+        T,
+        points,
+        point_covariance,
+        pixels,
+        inv_sigma2,
+        area,
+        noise2,
+        share,
+        intrinsics,
+        right,
+        cell_px,
+        prior,
+    )
     return right, noise2, covariance, drawn
 
 
 @njit(cache=True, nogil=True)
-def linearise(T, points, point_covariance, pixels, inv_sigma2, noise2, extra, intrinsics, errors, S, J):
-    """Write errors (n, 2), their covariances (n, 3) uu, uv, vv, and Jacobians (n, 2, 6) about a pose.
+def _accumulate(
+    T, points, point_covariance, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
+    gradient,
+):  # fmt: skip
+    """Write the probability of every match to be right, and add all to the normal equations.
 
-    A point behind the camera has an infinite error.
+    Returns:
+        (share of right ones, variance of the keypoints over what the view says): as the next step takes them.
+        Of every error only the keypoint's own part tells its variance; the pose takes six of them.
     """
-    fx, fy, cx, cy = intrinsics
-    for i in range(len(points)):
-        px, py, pz = points[i]
-        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if not z > 1e-6:
-            errors[i] = np.inf
-            S[i, 0], S[i, 1], S[i, 2] = 1.0, 0.0, 1.0
-            J[i] = 0.0
+    J, e = np.zeros((2, 6)), np.empty(2)
+    n = len(points)
+    total, squares, count = 0.0, PRIOR_WORTH * usual2, 0.0
+    for i in range(n):
+        own = noise2 / inv_sigma2[i] + extra
+        uu, uv, vv = _linearise(T, points[i], point_covariance[i], pixels[i], noise2, own, intrinsics, J, e)
+        right[i] = 0.0
+        if uu == 0.0:
             continue
-        x = (T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]) / z
-        y = (T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]) / z
-        fu, fv = fx / z, fy / z
-        errors[i, 0], errors[i, 1] = fx * x + cx - pixels[i, 0], fy * y + cy - pixels[i, 1]
-        J[i, 0, 0], J[i, 0, 1], J[i, 0, 2] = fu, 0.0, -fu * x
-        J[i, 0, 3], J[i, 0, 4], J[i, 0, 5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
-        J[i, 1, 0], J[i, 1, 1], J[i, 1, 2] = 0.0, fv, -fv * y
-        J[i, 1, 3], J[i, 1, 4], J[i, 1, 5] = -fy * (1.0 + y * y), fy * x * y, fy * x
-        p = point_covariance[i]
-        a0, a1, a2 = fu * (T[0, 0] - x * T[2, 0]), fu * (T[0, 1] - x * T[2, 1]), fu * (T[0, 2] - x * T[2, 2])
-        b0, b1, b2 = fv * (T[1, 0] - y * T[2, 0]), fv * (T[1, 1] - y * T[2, 1]), fv * (T[1, 2] - y * T[2, 2])
-        c0 = p[0] * a0 + p[1] * a1 + p[2] * a2
-        c1 = p[1] * a0 + p[3] * a1 + p[4] * a2
-        c2 = p[2] * a0 + p[4] * a1 + p[5] * a2
-        noise = noise2 / inv_sigma2[i] + extra
-        S[i, 0] = noise2 * (a0 * c0 + a1 * c1 + a2 * c2) + noise
-        S[i, 1] = noise2 * (b0 * c0 + b1 * c1 + b2 * c2)
-        c0 = p[0] * b0 + p[1] * b1 + p[2] * b2
-        c1 = p[1] * b0 + p[3] * b1 + p[4] * b2
-        c2 = p[2] * b0 + p[4] * b1 + p[5] * b2
-        S[i, 2] = noise2 * (b0 * c0 + b1 * c1 + b2 * c2) + noise
+        det = uu * vv - uv * uv
+        a, b, c = vv / det, -uv / det, uu / det
+        x, y = a * e[0] + b * e[1], b * e[0] + c * e[1]
+        chi2 = x * e[0] + y * e[1]
+        likely = share * density_at(chi2, det)
+        p = likely / (likely + (1.0 - share) / area[i])
+        right[i] = p
+        total += p
+        if p <= 1e-6:
+            continue
+        weight = p * weight_at(chi2)
+        rest = p * (2.0 * own - own * own * (a + c))
+        squares += (weight * own * own * (x * x + y * y) + rest) * inv_sigma2[i]
+        count += 2.0 * p
+        _add(J, x, y, a, b, c, weight, weight, H, gradient)
+    told2 = squares / max(PRIOR_WORTH + count - min(6.0, count), 1.0)
+    told2 = min(max(told2, usual2 / MOST_NOISE2), usual2 * MOST_NOISE2)
+    return (total + _RIGHT) / (n + _RIGHT + _WRONG), told2
 
 
 @njit(cache=True, nogil=True)
-def _expect(errors, S, area, share, right, weight):
-    """Write the probability of every match to be right, and that times its weight; the share of right ones.
+def _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e):
+    """Write error (2,) and Jacobian (2, 6) of a match; its covariance (uu, uv, vv), 0 behind the camera."""
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    z = T[2, 0] * xyz[0] + T[2, 1] * xyz[1] + T[2, 2] * xyz[2] + T[2, 3]
+    if not z > 1e-6:
+        return 0.0, 0.0, 0.0
+    x = (T[0, 0] * xyz[0] + T[0, 1] * xyz[1] + T[0, 2] * xyz[2] + T[0, 3]) / z
+    y = (T[1, 0] * xyz[0] + T[1, 1] * xyz[1] + T[1, 2] * xyz[2] + T[1, 3]) / z
+    fu, fv = fx / z, fy / z
+    e[0], e[1] = fx * x + cx - pixel[0], fy * y + cy - pixel[1]
+    J[0, 0], J[0, 2] = fu, -fu * x
+    J[0, 3], J[0, 4], J[0, 5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
+    J[1, 1], J[1, 2] = fv, -fv * y
+    J[1, 3], J[1, 4], J[1, 5] = -fy * (1.0 + y * y), fy * x * y, fy * x
+    uu, uv, vv = of_point(T, x, y, fu, fv, point_covariance)
+    return noise2 * uu + own, noise2 * uv, noise2 * vv + own
 
-    Errors of right ones are of Student's t with covariance S: those far out weigh less.
+
+@njit(cache=True, nogil=True)
+def of_point(T, x, y, fu, fv, p):
+    """Covariance (uu, uv, vv) in the image of a point's (6,), seen at (x, y) for unit depth; fu is fx / z."""
+    a0, a1, a2 = fu * (T[0, 0] - x * T[2, 0]), fu * (T[0, 1] - x * T[2, 1]), fu * (T[0, 2] - x * T[2, 2])
+    b0, b1, b2 = fv * (T[1, 0] - y * T[2, 0]), fv * (T[1, 1] - y * T[2, 1]), fv * (T[1, 2] - y * T[2, 2])
+    c0 = p[0] * a0 + p[1] * a1 + p[2] * a2
+    c1 = p[1] * a0 + p[3] * a1 + p[4] * a2
+    c2 = p[2] * a0 + p[4] * a1 + p[5] * a2
+    d0 = p[0] * b0 + p[1] * b1 + p[2] * b2
+    d1 = p[1] * b0 + p[3] * b1 + p[4] * b2
+    d2 = p[2] * b0 + p[4] * b1 + p[5] * b2
+    return a0 * c0 + a1 * c1 + a2 * c2, b0 * c0 + b1 * c1 + b2 * c2, b0 * d0 + b1 * d1 + b2 * d2
+
+
+@njit(cache=True, nogil=True)
+def _add(J, x, y, a, b, c, pull, worth, H, gradient):
+    """Add a match to the normal equations: its gradient ``pull`` times, its information ``worth`` times.
+
+    Args:
+        J: (2, 6) Jacobian.
+        x, y: its error times the information.
+        a, b, c: information uu, uv, vv.
+        pull, worth: see there.
+        H: (6, 6) of which the lower triangle is written.
+        gradient: (6,).
     """
-    total = 0.0
-    for i in range(len(errors)):
-        right[i] = weight[i] = 0.0
-        if np.isfinite(errors[i, 0]):
-            det = S[i, 0] * S[i, 2] - S[i, 1] ** 2
-            chi2 = _chi2(errors[i], S[i], det)
-            likely = share * density_at(chi2, det)
-            right[i] = likely / (likely + (1.0 - share) / area[i])
-            weight[i] = right[i] * (TAILS + 2.0) / (TAILS - 2.0 + chi2)
-        total += right[i]
-    return (total + _RIGHT) / (len(errors) + _RIGHT + _WRONG)
-
-
-@njit(cache=True, nogil=True)
-def density_at(chi2, det):
-    """Density, 1/px², of a right match's error, by its normalised square and its covariance's determinant."""
-    tail = 1.0 + chi2 / (TAILS - 2.0)
-    return TAILS / (TAILS - 2.0) * tail ** (-0.5 * TAILS - 1.0) / (2.0 * np.pi * np.sqrt(det))
-
-
-@njit(cache=True, nogil=True)
-def _chi2(e, S, det):
-    return (S[2] * e[0] * e[0] - 2.0 * S[1] * e[0] * e[1] + S[0] * e[1] * e[1]) / det
-
-
-@njit(cache=True, nogil=True)
-def _noise(errors, S, right, weight, inv_sigma2, usual2, noise2):
-    """Variance of the keypoints over what the view says, from what of the errors is theirs.
-
-    The pose has taken six degrees of freedom of the errors.
-    """
-    total, count = PRIOR_WORTH * usual2, PRIOR_WORTH
-    own = 0.0
-    for i in range(len(errors)):
-        if right[i] > 1e-6:
-            det = S[i, 0] * S[i, 2] - S[i, 1] ** 2
-            a, b, c = S[i, 2] / det, -S[i, 1] / det, S[i, 0] / det
-            x, y = a * errors[i, 0] + b * errors[i, 1], b * errors[i, 0] + c * errors[i, 1]
-            variance = noise2 / inv_sigma2[i]
-            # Mean square of the keypoint's own part, given the whole error, over what the view says.
-            rest = right[i] * (2.0 * variance - variance**2 * (a + c))
-            total += (weight[i] * variance**2 * (x * x + y * y) + rest) * inv_sigma2[i]
-            own += 2.0 * right[i]
-    count += own
-    left = max(count - min(6.0, own), 1.0)
-    return min(max(total / left, usual2 / MOST_NOISE2), usual2 * MOST_NOISE2)
-
-
-@njit(cache=True, nogil=True)
-def _add(J, e, S, pull, worth, H, gradient):
-    """Add a match to the normal equations, its gradient ``pull`` and its information ``worth`` times.
-
-    ``H`` (6, 6) is whole.
-    """
-    det = S[0] * S[2] - S[1] * S[1]
-    a, b, c = worth * S[2] / det, -worth * S[1] / det, worth * S[0] / det
+    a, b, c = worth * a, worth * b, worth * c
     for r in range(6):
+        gradient[r] += pull * (J[0, r] * x + J[1, r] * y)
         u, v = a * J[0, r] + b * J[1, r], b * J[0, r] + c * J[1, r]
-        gradient[r] += pull / worth * (u * e[0] + v * e[1])
         for k in range(r + 1):
-            value = u * J[0, k] + v * J[1, k]
-            H[r, k] += value
-            if k < r:
-                H[k, r] += value
+            H[r, k] += u * J[0, k] + v * J[1, k]
 
 
 @njit(cache=True, nogil=True)
-def _certainty(J, errors, S, right, weight, pixels, cell_px, prior):
+def _certainty(
+    T, points, point_covariance, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior
+):
     """Covariance (6, 6) of the pose, and by how much the most telling cell of the image draws it.
 
-    The points of a cell are of one surface, so that their errors go together: n of them are worth
-    n / (1 + (n - 1) ρ).
+    The probabilities to be right are written once more. The points of a cell are of one surface, so that
+    their errors go together: n of them are worth n / (1 + (n - 1) ρ).
     """
-    n = len(J)
+    n = len(points)
+    J, e = np.zeros((2, 6)), np.empty(2)
     cell = np.empty(n, np.int64)
     most = 0
     low_x, low_y = np.inf, np.inf
@@ -279,18 +265,30 @@ def _certainty(J, errors, S, right, weight, pixels, cell_px, prior):
         cell[i] = int((pixels[i, 1] - low_y) / cell_px) * (CELLS + 1) + column
         most = max(most, cell[i])
     count = np.zeros(most + 1)
-    for i in range(n):
-        count[cell[i]] += right[i]
     H, gradient = np.zeros((most + 1, 6, 6)), np.zeros((most + 1, 6))
-    whole, slope = prior.copy(), np.zeros(6)
     for i in range(n):
-        k = cell[i]
+        own = noise2 / inv_sigma2[i]
+        uu, uv, vv = _linearise(T, points[i], point_covariance[i], pixels[i], noise2, own, intrinsics, J, e)
+        right[i] = 0.0
+        if uu == 0.0:
+            continue
+        det = uu * vv - uv * uv
+        a, b, c = vv / det, -uv / det, uu / det
+        x, y = a * e[0] + b * e[1], b * e[0] + c * e[1]
+        chi2 = x * e[0] + y * e[1]
+        likely = share * density_at(chi2, det)
+        right[i] = likely / (likely + (1.0 - share) / area[i])
         if right[i] > 1e-6:
-            shared = 1.0 + max(count[k] - 1.0, 0.0) * SAME_SURFACE
-            worth = INFORMATION * right[i] / shared
-            _add(J[i], errors[i], S[i], weight[i] / shared, worth, H[k], gradient[k])
+            k = cell[i]
+            count[k] += right[i]
+            pull, worth = right[i] * weight_at(chi2), right[i] * INFORMATION
+            _add(J, x, y, a, b, c, pull, worth, H[k], gradient[k])
     telling = 0
+    whole, slope = prior.copy(), np.zeros(6)
     for k in range(most + 1):
+        shared = 1.0 + max(count[k] - 1.0, 0.0) * SAME_SURFACE
+        H[k] /= shared
+        gradient[k] /= shared
         whole += H[k]
         slope += gradient[k]
         if np.trace(H[k]) > np.trace(H[telling]):
@@ -305,8 +303,7 @@ def _certainty(J, errors, S, right, weight, pixels, cell_px, prior):
         solve(L, rows, column)
         covariance[:, c] = column
     covariance = 0.5 * (covariance + covariance.T)
-    without = whole - H[telling]
-    L[:] = without
+    L[:] = whole - H[telling]
     if not factor(L, rows):
         return covariance, np.inf
     pull = gradient[telling] - slope

@@ -6,12 +6,13 @@ one model. docs/notebook/base-decides.md has the formulas and what was measured.
 
 import numpy as np
 
-from dslab.slam.association._kernels import CHI2_99, associate, density_of
+from dslab.slam.association._kernels import associate, density_of
 from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.results import RelativePose
 from dslab.slam.map._covariance_kernels import relative_covariance
-from dslab.slam.optimization.uncertain_pose import INFORMATION, uncertain_pose
+from dslab.slam.optimization.student import CHI2_99, INFORMATION
+from dslab.slam.optimization.uncertain_pose import uncertain_pose
 from dslab.slam.tracking.local_map import local_map, median_depth, points_of
 from dslab.slam.tracking.rules.interface import Gate, Loss, Search, Tracking
 from dslab.slam.tracking.rules.own import OwnKeyframeChoice, track_reference_keyframe
@@ -24,8 +25,9 @@ _LIKELIER_THAN_NOT = 0.5
 _LEAST_RIGHT, _LEAST_CELLS = 12.0, 3
 """Fewer matches tell no pose, whatever their covariance says: chance fits a few."""
 _CELLS = 8
-_MOST_DRAWN = 4.0
-"""Standard deviations by which a pose may move without the cell that tells most."""
+_MOST_DRAWN = 5.28
+"""Standard deviations by which a pose may move without the cell that tells most. By chance one in 10,000
+does, by χ² of six degrees of freedom."""
 _BEHIND_A_GAP = 9.2
 """Log of the odds that a view behind a gap must show: nothing else says that it is there; one in 10,000."""
 _AROUND = 10
@@ -216,4 +218,5 @@ def _cells(tracking: Tracking, frame: Frame) -> int:
     view = tracking.map.view
     side = (view.x_max - view.x_min) / _CELLS
     xy = frame.features.xy[frame.point >= 0]
-    return len({(int(x // side), int(y // side)) for x, y in xy})
+    column, row = (xy // side).astype(int).T
+    return len(np.unique(row * 2 * _CELLS + column))

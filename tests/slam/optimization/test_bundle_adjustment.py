@@ -6,8 +6,9 @@ from scipy.optimize import least_squares
 
 from dslab.slam.optimization import _ba_kernels, _schur
 from dslab.slam.optimization._se3 import retract, so3_exp
-from dslab.slam.optimization.bundle_adjustment import bundle_adjust, local_bundle_adjust
+from dslab.slam.optimization.bundle_adjustment import bundle_adjust, likeliest_bundle, local_bundle_adjust
 from dslab.slam.optimization.pose import CHI2_2DOF
+from dslab.slam.optimization.student import TAILS
 
 INTRINSICS = (500.0, 510.0, 320.0, 240.0)
 DELTA = float(np.sqrt(CHI2_2DOF))
@@ -379,6 +380,38 @@ def test_local_adjustment_drops_outliers_and_recovers(seed):
     np.testing.assert_allclose(result.T_cam_map, clean, atol=0.015)
     robust = bundle_adjust(*start.arguments(), 15, DELTA)
     assert np.abs(result.T_cam_map - clean).max() < np.abs(robust.T_cam_map - clean).max()
+
+
+def test_the_likeliest_bundle_is_where_the_likelihood_of_student_errors_is_greatest():
+    _, start = scene(4, cameras=4, n_points=12, spread=0.01)
+    start.pixels[::9] += 6.0
+
+    def deviance(T, points):
+        chi2 = (start.whitened(T, points) ** 2).sum(axis=1)
+        return -2 * np.log((1 + chi2 / (TAILS - 2)) ** (-TAILS / 2 - 1)).sum()
+
+    result, _ = likeliest_bundle(*start.arguments(), iterations=200)
+    least = deviance(result.T_cam_map, result.points)
+    assert result.cost_final == pytest.approx(least) and least < 0.9 * deviance(start.T, start.points)
+    found = replace(start, T=result.T_cam_map, points=result.points)
+    step = 1e-4 * np.eye(n_parameters(start))
+    slope = [deviance(*moved(found, s)) - deviance(*moved(found, -s)) for s in step]
+    bend = [deviance(*moved(found, s)) + deviance(*moved(found, -s)) - 2 * least for s in step]
+    assert min(bend) > 0 and np.abs(np.array(slope) / bend).max() < 0.2  # a tenth of a step from the top
+
+
+def test_errors_of_student_s_t_are_adjusted_better_without_a_cut():
+    errors, kept = [], []
+    for seed in range(12):
+        truth, start = scene(seed, noise=0.0, n_points=80)
+        rng = np.random.default_rng(seed)
+        scale = np.sqrt((TAILS - 2) / rng.chisquare(TAILS, len(start.camera)) / start.inv_sigma2)
+        start.pixels = truth.pixels + rng.normal(size=truth.pixels.shape) * scale[:, None]
+        both = likeliest_bundle(*start.arguments()), local_bundle_adjust(*start.arguments())
+        errors.append([np.abs(r.T_cam_map[2:, :3, 3] - truth.T[2:, :3, 3]).mean() for r, _ in both])
+        kept.append(both[0][1].mean())
+    assert np.mean(errors, axis=0)[0] < 0.95 * np.mean(errors, axis=0)[1]
+    assert np.mean(kept) > 0.98
 
 
 def test_kernels_compile_once():
