@@ -45,7 +45,7 @@ _NEAR_PX = 1.5
 _WRONG_PX = 3.0
 """Likewise, beyond which it does not."""
 _LIKE_BITS = 60
-"""Distance of descriptors of one point, which nine in ten do not exceed (docs/notebook/base-decides.md)."""
+"""Largest distance of descriptors of one point, chosen by hand."""
 _MOST_POINTS = 400
 """Points of a frame whose true matches are looked for."""
 

@@ -163,6 +163,7 @@ class Tracker:
         """
         m, config = self.map, self.config
         frame.T_cam_map, frame.reference_keyframe = T_cam_map.copy(), keyframe
+        frame.relative = None  # was that of the pose that did not hold
         frame.point[:] = -1
         _, candidates = local_map(m, m.observed_points(keyframe), config.local_map_keyframes)
         match_local(frame, m, candidates, 1.0, config.local_map_ratio)
