@@ -116,14 +116,14 @@ def claim_buffer() -> str:
         share = row["measure"] in ("rescued", "failed", "wrong")
         cell = (interval_of_share if share else with_ends)({end: row[end] for end in ENDS})
         at.setdefault((row["condition"], row["variant"]), {})[row["measure"]] = cell
-    names = "rescued", "to_repair_s", "recovery_cpu_s", "buffer_mb", "failed"
+    names = "rescued", "wrong", "to_repair_s", "recovery_cpu_s", "buffer_mb"
     rows = []
     for (condition, variant), of in at.items():
         system, _, seconds = variant.partition("-")
         stress = describe_kind(condition.split("/")[1])
-        rows.append((stress, system, seconds, *(of.get(name, "") for name in names)))
-    header = "stress", "system", "buffer, s", "rescued", "to a rescue, s", "CPU, s", "MB", "fails"
-    return table(header, rows)
+        rows.append((system, stress, int(seconds), *(of.get(name, "") for name in names)))
+    header = "system", "stress", "buffer, s", "rescued", "wrong", "to a rescue, s", "CPU, s", "MB"
+    return table(header, sorted(rows))
 
 
 def claim_dichotomy() -> str:
