@@ -6,6 +6,7 @@ import numpy as np
 from dslab.slam.map.map import Map
 from dslab.slam.matching import guided
 from dslab.slam.system import MonocularSlam
+from dslab.slam.tracking.local_map import local_map
 
 MEASURES: dict[str, tuple[str, bool]] = {
     "noise": ("noise in even areas, grey levels", False),
@@ -102,7 +103,7 @@ def live_residuals(system: MonocularSlam) -> np.ndarray:
     f, T = last.features, np.ascontiguousarray(last.T_cam_map)
     near = system.tracker.config.local_map_keyframes
     known = last.point.copy()
-    _, points = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, known, near)
+    _, points = local_map(m, known, near)
     point = np.full(len(f), -1, np.int32)
     guided.match_local_points(
         m.arrays, m.view, T, points, f.xy, f.octave, f.descriptors, f.cell_start, point, WIDEN, 0.8, False

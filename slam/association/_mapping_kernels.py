@@ -168,42 +168,65 @@ def _error(view, d, t, inverse, noise_a, noise_b):
 
 
 @njit(cache=True, nogil=True)
+def ray_in_view(view, d, t, min_depth):
+    """Where a ray of one camera is seen by another one.
+
+    At the inverse depth i it is seen at P + s W, with P where it is seen at infinity, W what a pixel moves by
+    at first, and s = i / (d_z + i t_z). So the keypoints to look at lie in a band about a segment.
+
+    Args:
+        view: ViewGeometry.
+        d, t: (3,) the ray in the other camera, at unit depth, and the first camera's position; d_z > 0.
+        min_depth: in the first camera.
+
+    Returns:
+        P_u, P_v, W_u, W_v; s of the nearest point, and its inverse depth.
+    """
+    P_u, P_v = view.fx * d[0] / d[2] + view.cx, view.fy * d[1] / d[2] + view.cy
+    W_u, W_v = view.fx * (t[0] - d[0] / d[2] * t[2]), view.fy * (t[1] - d[1] / d[2] * t[2])
+    nearest = 1.0 / min_depth
+    if t[2] < 0:  # in front of the second camera too
+        nearest = min(nearest, (d[2] - _LEAST_DEPTH) / -t[2])
+    return P_u, P_v, W_u, W_v, nearest / (d[2] + nearest * t[2]), nearest
+
+
+@njit(cache=True, nogil=True)
+def columns_along(view, r, P_u, P_v, W_u, W_v, s_end, margin):
+    """First and last column of cells of a row that a band about the segment P + s W, s to s_end, crosses.
+
+    The outer rows and columns hold what lies beyond them; the last is before the first if there are none.
+    """
+    s_0, s_1 = 0.0, s_end
+    top = -np.inf if r == 0 else view.y_min + r * view.cell - margin
+    bottom = np.inf if r == view.rows - 1 else view.y_min + (r + 1) * view.cell + margin
+    if W_v > 0:
+        s_0, s_1 = max(s_0, (top - P_v) / W_v), min(s_1, (bottom - P_v) / W_v)
+    elif W_v < 0:
+        s_0, s_1 = max(s_0, (bottom - P_v) / W_v), min(s_1, (top - P_v) / W_v)
+    elif not top < P_v < bottom:
+        return 0, -1
+    if s_0 > s_1:
+        return 0, -1
+    u_0, u_1 = P_u + s_0 * W_u, P_u + s_1 * W_u
+    return _column(view, min(u_0, u_1) - margin), _column(view, max(u_0, u_1) + margin)
+
+
+@njit(cache=True, nogil=True)
 def _along_ray(
     view, kp_xy, kp_octave, kp_descriptor, cells, first, free, octave, descriptor, d, t, length, noise2, own,
     min_depth, expected, scale, elsewhere, max_error, density, odds, least,
 ):  # fmt: skip
-    """Free keypoint that shows the point of a ray, by its posterior; -1 for none.
-
-    At the inverse depth i the ray is seen at P + s W, with P where it is seen at infinity, W what a pixel
-    moves by at first, and s = i / (d_z + i t_z). So the keypoints to look at lie in a band about a segment.
-    """
-    P_u, P_v = view.fx * d[0] / d[2] + view.cx, view.fy * d[1] / d[2] + view.cy
-    W_u, W_v = view.fx * (t[0] - d[0] / d[2] * t[2]), view.fy * (t[1] - d[1] / d[2] * t[2])
+    """Free keypoint that shows the point of a ray, by its posterior; -1 for none."""
+    P_u, P_v, W_u, W_v, s_end, nearest = ray_in_view(view, d, t, min_depth)
     W = np.sqrt(W_u * W_u + W_v * W_v)
     if W < 1e-9:
         return -1
-    nearest = 1.0 / min_depth
-    if t[2] < 0:  # in front of the second camera too
-        nearest = min(nearest, (d[2] - _LEAST_DEPTH) / -t[2])
-    s_end = nearest / (d[2] + nearest * t[2])
     margin = BAND * np.sqrt(2.0 * noise2 / view.inv_sigma2[-1])
     total, best, found = 1.0 - _AGAIN, 0.0, -1
     for r in range(view.rows):
-        # What of the segment is within reach of this row of cells; the outer ones hold what lies beyond.
-        s_0, s_1 = 0.0, s_end
-        top = -np.inf if r == 0 else view.y_min + r * view.cell - margin
-        bottom = np.inf if r == view.rows - 1 else view.y_min + (r + 1) * view.cell + margin
-        if W_v > 0:
-            s_0, s_1 = max(s_0, (top - P_v) / W_v), min(s_1, (bottom - P_v) / W_v)
-        elif W_v < 0:
-            s_0, s_1 = max(s_0, (bottom - P_v) / W_v), min(s_1, (top - P_v) / W_v)
-        elif not top < P_v < bottom:
+        left, right = columns_along(view, r, P_u, P_v, W_u, W_v, s_end, margin)
+        if left > right:
             continue
-        if s_0 > s_1:
-            continue
-        u_0, u_1 = P_u + s_0 * W_u, P_u + s_1 * W_u
-        left = _column(view, min(u_0, u_1) - margin)
-        right = _column(view, max(u_0, u_1) + margin)
         for i in range(cells[r * view.cols + left], cells[r * view.cols + right + 1]):
             if not free[i]:
                 continue
@@ -314,3 +337,24 @@ def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
 def _variance(covariance):
     """Trace of a symmetric (3, 3) in its six numbers."""
     return covariance[0] + covariance[3] + covariance[5]
+
+
+@njit(cache=True, nogil=True)
+def unobserved_in(m, view, keyframes, points):
+    """Number of points (Q,) int32, -1 for none, that each keyframe (K,) should show and does not observe.
+
+    Returns:
+        (K,) int64.
+    """
+    count = np.zeros(len(keyframes), np.int64)
+    for n in range(len(keyframes)):
+        k = np.int64(keyframes[n])
+        T = m.kf_T_cam_map[k]
+        centre = camera_at(T)
+        for p in points:
+            if p < 0 or m.pt_bad[p]:
+                continue
+            _, _, level = expected_view(view, T, centre, m.pt_xyz[p], m.pt_normal[p], m.pt_max_distance[p])
+            if not np.isnan(level) and observed_in(m, np.int64(p), k) < 0:
+                count[n] += 1
+    return count

@@ -3,8 +3,6 @@
 A keyframe's keypoints are one slice of the keypoint arrays. ``kp_point`` is the single owner of the
 associations; the observers of a point are a linked list that starts at ``pt_head`` and continues in
 ``kp_next``. ``covisibility`` is the exact number of shared points of every pair of keyframes.
-
-Culling, a point's descriptor and the bounds of covisibility follow ORB-SLAM's public code.
 """
 
 from typing import NamedTuple
@@ -154,7 +152,8 @@ def erase_observation(m, keypoint, min_observations):
 def refresh_point(m, point, view):
     """Recompute a point's descriptor, mean viewing direction and distance from its observations.
 
-    Of its latest 24 observers, the one nearest to half of them, itself included, lends its descriptor.
+    Of its latest 24 observers, the one nearest to all of them lends its descriptor: the medoid, III-C of
+    ORB-SLAM.
     """
     count = m.pt_observations[point]
     if count == 0:
@@ -217,12 +216,7 @@ def _most_central(m, rows):
             d = hamming256(m.kp_descriptor[rows[i]], m.kp_descriptor[rows[j]])
             distance[i, j] = d
             distance[j, i] = d
-    best, best_median = 0, 1 << 30
-    for i in range(n):
-        median = np.sort(distance[i])[(n - 1) // 2]
-        if median < best_median:
-            best, best_median = i, median
-    return best
+    return np.argmin(distance.sum(axis=1))
 
 
 @njit(cache=True, nogil=True)
@@ -338,26 +332,32 @@ def count_observed(m, keyframe, min_observations):
 
 
 @njit(cache=True, nogil=True)
-def redundant_share(m, keyframe):
-    """Share of a keyframe's points seen as finely by three or more other keyframes."""
+def redundant_share(m, keyframe, coarser, view):
+    """Share of a keyframe's points of which three others like it know as much without it.
+
+    Args:
+        m: MapArrays.
+        keyframe: row.
+        coarser: whether observations on coarser levels count too, each by its information over the
+            keyframe's, 1 / σ²; otherwise those on the same or a finer level count 1 (ORB-SLAM, VI-E).
+        view: ViewGeometry.
+    """
     total, redundant = 0, 0
     for e in range(m.kf_start[keyframe], m.kf_start[keyframe + 1]):
         p = m.kp_point[e]
         if p < 0:
             continue
         total += 1
-        if m.pt_observations[p] <= 3:
-            continue
-        others = 0
+        others = 0.0
         o = m.pt_head[p]
-        while o >= 0:
-            if o != e and m.kp_octave[o] <= m.kp_octave[e] + 1:
-                others += 1
-                if others >= 3:
-                    break
+        while o >= 0 and others < 3.0:
+            if o != e:
+                if m.kp_octave[o] <= m.kp_octave[e]:
+                    others += 1.0
+                elif coarser:
+                    others += view.inv_sigma2[m.kp_octave[o]] / view.inv_sigma2[m.kp_octave[e]]
             o = m.kp_next[o]
-        if others >= 3:
-            redundant += 1
+        redundant += others >= 3.0
     return redundant / total if total else 0.0
 
 

@@ -13,6 +13,8 @@ from dslab.slam.map.noise import KeypointNoise
 from dslab.slam.optimization.sim3 import sim3_decompose
 
 _MIN_CULLED_SHARE = 0.25  # culled share of the keypoints in use, from which they are removed
+MIN_SHARED = 15
+"""Points that covisible keyframes share: ORB-SLAM, III-D."""
 MIN_OBSERVATIONS = 3  # a point with fewer, once it has lost an observation, is dropped
 
 
@@ -132,7 +134,7 @@ class Map:
         kernels.detach_keyframe(self.arrays, keyframe, MIN_OBSERVATIONS)
         self._features[keyframe] = self._features[keyframe].emptied()
 
-    def neighbours(self, keyframe: int, limit: int, min_shared: int = 15) -> np.ndarray:
+    def neighbours(self, keyframe: int, limit: int, min_shared: int = MIN_SHARED) -> np.ndarray:
         """Covisible keyframes, most shared points first.
 
         The best one is returned even if it shares fewer points than ``min_shared``.

@@ -1,34 +1,23 @@
-"""Local mapping: extend and refine the map with each new keyframe.
-
-Second neighbours are taken as in ORB-SLAM's public code.
-"""
+"""Local mapping: extend and refine the map with each new keyframe."""
 
 from contextlib import AbstractContextManager, nullcontext
-from typing import Literal
 
 import numpy as np
 
-from dslab.slam.association._kernels import density_of
-from dslab.slam.association._mapping_kernels import depths_around, fuse_points, points_along_rays
-from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import DEPTHS, setting, settings
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import MIN_OBSERVATIONS, Map
 from dslab.slam.mapping._local_problem import local_problem
-from dslab.slam.mapping._triangulation_search import new_points, surrounding_depths
-from dslab.slam.matching.guided import fuse_into_keyframe
-from dslab.slam.optimization.bundle_adjustment import likeliest_bundle, local_bundle_adjust
+from dslab.slam.mapping.rules import MapRule, MapRules, map_rules
 
 
 @settings
 class LocalMappingConfig:
     """Settings of local mapping."""
 
-    association: Literal["guided", "derived"] = setting(
-        "guided", "how keypoints of keyframes are matched and how their errors weigh"
-    )
+    association: MapRule = setting("own", "how keypoints of keyframes are matched and how their errors weigh")
     max_depth_error: float = setting(0.1, "largest standard deviation of a new derived depth over itself")
     neighbours: int = setting(10, "covisible keyframes used for triangulation and fusion")
     min_baseline: float = setting(0.01, "least baseline for triangulation", unit=DEPTHS)
@@ -47,8 +36,6 @@ class LocalMappingConfig:
 
 _ITERATIONS = 20
 """Most steps of a bundle adjustment; it ends once they gain nothing."""
-_SURE = 0.9
-"""Posterior of a match that the map is built on: a wrong one stays."""
 
 
 class LocalMapper:
@@ -68,6 +55,11 @@ class LocalMapper:
         self.config = config
         self.lock = lock or nullcontext()
         self._young = np.empty(0, np.int64)
+
+    @property
+    def rules(self) -> MapRules:
+        """What it decides by."""
+        return map_rules(self.map, self.config)
 
     def insert(self, frame: Frame) -> int:
         """Make a keyframe of a tracked frame and extend the map from it.
@@ -110,12 +102,12 @@ class LocalMapper:
             fixed[0] = True
         if fixed.all() or not len(points):
             return
-        derived = self.config.association == "derived"
-        adjusted = likeliest_bundle if derived else local_bundle_adjust
-        result, good = adjusted(
+        rules = self.rules
+        steps = _ITERATIONS if rules.converges else self.config.robust_iterations
+        result, good = rules.adjust(
             T_cam_map, fixed, xyz, obs_camera, obs_point,
             a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]] / m.noise2,
-            view.fx, view.fy, view.cx, view.cy, _ITERATIONS if derived else self.config.robust_iterations,
+            view.fx, view.fy, view.cx, view.cy, steps,
         )  # fmt: skip
         with self.lock:
             a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
@@ -149,18 +141,13 @@ class LocalMapper:
         """Triangulate matches with covisible keyframes."""
         with self.lock:
             nearest = self.config.min_depth * kernels.median_depth(self.map.arrays, keyframe)
-            expected = self._expected_depths(keyframe)
+            expected = self.rules.expected_depths(keyframe)
         created = []
         for neighbour in self.map.neighbours(keyframe, self.config.neighbours):
             with self.lock:
                 depth = kernels.median_depth(self.map.arrays, int(neighbour))
                 created.append(self._triangulate(keyframe, int(neighbour), depth, nearest, expected))
         self._young = np.concatenate([self._young, *created])
-
-    def _expected_depths(self, keyframe: int) -> np.ndarray:
-        if self.config.association == "derived":
-            return depths_around(self.map.arrays, self.map.view, keyframe)
-        return surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
 
     def _triangulate(
         self, keyframe: int, other: int, depth: float, nearest: float, expected: np.ndarray
@@ -172,16 +159,7 @@ class LocalMapper:
         )
         if depth <= 0 or baseline < config.min_baseline * depth:
             return np.empty(0, np.int64)
-        if config.association == "derived":
-            own, theirs, xyz = points_along_rays(
-                a, m.view, keyframe, other, m.noise2, nearest, expected, config.max_depth_error,
-                self._density(other), odds_by_distance(), _SURE,
-            )  # fmt: skip
-        else:
-            cosine = float(np.cos(np.deg2rad(config.min_parallax_deg)))
-            own, theirs, xyz = new_points(
-                a, m.view, keyframe, other, nearest, expected, cosine, config.descriptor_ratio
-            )
+        own, theirs, xyz = self.rules.new_points(keyframe, other, nearest, expected)
         first = m.reserve_points(len(own))
         kernels.create_points(m.arrays, first, xyz, own, theirs, m.view)
         return np.arange(first, first + len(own))
@@ -189,40 +167,25 @@ class LocalMapper:
     def _fuse_neighbours(self, keyframe: int) -> None:
         """Fuse duplicate points of the keyframe and its first and second neighbours."""
         m, a = self.map, self.map.arrays
-        first = m.neighbours(keyframe, self.config.neighbours)
-        second = [k for n in first for k in m.neighbours(int(n), 5)]
-        targets = [int(k) for k in dict.fromkeys([*first, *second]) if k != keyframe]
+        rules = self.rules
+        targets = rules.targets(keyframe)
         own = m.observed_points(keyframe)
         for target in targets:
             with self.lock:
-                self._fuse(target, own[own >= 0])
+                rules.seek(target, own[own >= 0])
         with self.lock:
             theirs = [m.observed_points(target) for target in targets]
             if theirs:
                 candidates = np.unique(np.concatenate(theirs))
-                self._fuse(keyframe, candidates[candidates >= 0])
+                rules.seek(keyframe, candidates[candidates >= 0])
             own = m.observed_points(keyframe)
             kernels.refresh_points(a, own[own >= 0], m.view)
 
-    def _fuse(self, keyframe: int, candidates: np.ndarray) -> None:
-        m = self.map
-        if self.config.association == "derived":
-            density, odds = self._density(keyframe), odds_by_distance()
-            fuse_points(m.arrays, m.view, keyframe, candidates, m.noise2, density, odds, _SURE)
-        else:
-            fuse_into_keyframe(m.arrays, m.view, keyframe, candidates, 3.0)
-
-    def _density(self, keyframe: int) -> np.ndarray:
-        """(levels,) keypoints per px² of every octave of a keyframe."""
-        m, view = self.map, self.map.view
-        image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
-        return density_of(m.arrays.kp_octave[m.keypoints(keyframe)], len(view.scale), image)
-
     def _cull_keyframes(self, keyframe: int) -> None:
         """Cull neighbours whose points are nearly all seen as well by three others."""
-        m = self.map
-        for k in m.neighbours(keyframe, 40):
+        m, rules = self.map, self.rules
+        for k in m.neighbours(keyframe, m.n_keyframes):
             if m.parent(int(k)) < 0:
                 continue
-            if kernels.redundant_share(m.arrays, int(k)) > self.config.redundancy:
+            if rules.redundant(int(k)) > self.config.redundancy:
                 m.cull_keyframe(int(k))

@@ -4,7 +4,8 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.features._hamming import popcount64
-from dslab.slam.matching.guided import NEAR, keep_common_rotation
+from dslab.slam.matching.guided import NEAR
+from dslab.slam.matching.orientation import keep_common_turn
 
 
 @njit(cache=True, nogil=True)
@@ -101,4 +102,4 @@ def match_for_initialization(xy_1, octave_1, angle_1, descriptors_1, around, vie
             owner[i], owner_distance[i] = j, d
             matched[j] = rows[i]
             turn[j] = angle_1[j] - angle_2[rows[i]]
-    return matched, keep_common_rotation(matched, turn)
+    return matched, keep_common_turn(matched, turn)

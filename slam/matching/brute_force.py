@@ -4,11 +4,7 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.features._hamming import popcount64
-
-_N_BINS = 30
-_N_BEST_BINS = 3
-# A second or third bin with fewer than this share of the first is noise.
-_MIN_SHARE_OF_BEST = 0.1
+from dslab.slam.matching.orientation import common_turn
 
 # A key packs a distance above an index: one integer minimum finds the nearest and, of equals, the first.
 _INDEX_BITS = 21
@@ -83,28 +79,6 @@ def match_brute_force(desc_a: np.ndarray, desc_b: np.ndarray, max_distance: int,
     return matches[np.argsort(matches[:, 0])]
 
 
-def rotation_consistent(angle_a: np.ndarray, angle_b: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    """Mask of the matches that rotate by one of the three most frequent angles.
-
-    Args:
-        angle_a: (N,) orientations of A in degrees.
-        angle_b: (M,) orientations of B in degrees.
-        matches: (K, 2) int rows (index in A, index in B).
-
-    Returns:
-        (K,) bool.
-
-    Source: the orientation check of Mur-Artal et al., ORB-SLAM, T-RO 2015.
-    """
-    turn = angle_b[matches[:, 1]].astype(float) - angle_a[matches[:, 0]]
-    # Bins are centred on multiples of 12 degrees, so that no rotation, the usual case, is not on an edge.
-    bins = np.rint(turn * (_N_BINS / 360)).astype(int) % _N_BINS
-    counts = np.bincount(bins, minlength=_N_BINS)
-    best = np.argsort(-counts, kind="stable")[:_N_BEST_BINS]
-    best = best[counts[best] >= _MIN_SHARE_OF_BEST * counts[best[0]]]
-    return np.isin(bins, best)
-
-
 def match_oriented(
     desc_a: np.ndarray,
     angle_a: np.ndarray,
@@ -113,6 +87,6 @@ def match_oriented(
     max_distance: int,
     ratio: float,
 ) -> np.ndarray:
-    """Match as :func:`match_brute_force`, and keep what is :func:`rotation_consistent`."""
+    """Match as :func:`match_brute_force`, and keep what has the :func:`common_turn`; angles in degrees."""
     pairs = match_brute_force(desc_a, desc_b, max_distance, ratio)
-    return pairs[rotation_consistent(angle_a, angle_b, pairs)]
+    return pairs[common_turn(angle_b[pairs[:, 1]].astype(float) - angle_a[pairs[:, 0]])]

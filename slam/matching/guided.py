@@ -8,10 +8,10 @@ from numba import njit
 
 from dslab.slam.features._hamming import hamming256
 from dslab.slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
+from dslab.slam.matching.orientation import keep_common_turn
 
 FAR = 100  # largest distance of a guided match, bits
 NEAR = 50  # largest distance of an unguided match, bits
-_ROTATION_BINS = 30
 
 
 @njit(cache=True, nogil=True)
@@ -86,40 +86,6 @@ def nearest_in_window(
 
 
 @njit(cache=True, nogil=True)
-def keep_common_rotation(matched, turn_deg):
-    """Unset matches whose change of orientation is not among the three most frequent.
-
-    Args:
-        matched: (n,) int32, -1 for none; changed in place.
-        turn_deg: (n,) float64 change of orientation of each match.
-
-    Returns:
-        Number of matches left.
-    """
-    histogram = np.zeros(_ROTATION_BINS, np.int64)
-    for i in range(len(matched)):
-        if matched[i] >= 0:
-            histogram[_bin(turn_deg[i])] += 1
-    order = np.argsort(-histogram, kind="mergesort")
-    keep = np.zeros(_ROTATION_BINS, np.bool_)
-    for n in range(3):
-        keep[order[n]] = histogram[order[n]] > 0.1 * histogram[order[0]]
-    left = 0
-    for i in range(len(matched)):
-        if matched[i] >= 0:
-            if keep[_bin(turn_deg[i])]:
-                left += 1
-            else:
-                matched[i] = -1
-    return left
-
-
-@njit(cache=True, nogil=True)
-def _bin(turn_deg):
-    return int((turn_deg % 360.0) * (_ROTATION_BINS / 360.0) + 0.5) % _ROTATION_BINS
-
-
-@njit(cache=True, nogil=True)
 def match_last_frame(
     m,
     view,
@@ -167,7 +133,7 @@ def match_last_frame(
             point[i] = p
             taken[i] = True
             turn[i] = last_angle[j] - angle[i]
-    return point, keep_common_rotation(point, turn)
+    return point, keep_common_turn(point, turn)
 
 
 @njit(cache=True, nogil=True)
@@ -231,64 +197,6 @@ def match_local_points(
             taken[i] = True
             added += 1
     return expected, added
-
-
-@njit(cache=True, nogil=True)
-def collect_local_map(m, n_keyframes, n_points, frame_point, max_keyframes):
-    """Collect a frame's local map: keyframes that share its points, their neighbours, all their points.
-
-    Args:
-        m: MapArrays.
-        n_keyframes, n_points: counts.
-        frame_point: (N,) int32 the frame's associations.
-        max_keyframes: most keyframes.
-
-    Returns:
-        keyframes (k,) int32 with the one that shares most first, points (q,) int32.
-    """
-    votes = np.zeros(n_keyframes, np.int64)
-    for i in range(len(frame_point)):
-        p = frame_point[i]
-        if p < 0:
-            continue
-        e = m.pt_head[p]
-        while e >= 0:
-            votes[m.kp_keyframe[e]] += 1
-            e = m.kp_next[e]
-    order = np.argsort(-votes, kind="mergesort")
-    inside = np.zeros(n_keyframes, np.bool_)
-    keyframes = np.empty(max_keyframes, np.int32)
-    n = 0
-    for k in order:
-        if votes[k] == 0 or n == max_keyframes:
-            break
-        keyframes[n] = k
-        inside[k] = True
-        n += 1
-    for s in range(n):
-        if n >= max_keyframes:
-            break
-        best, best_shared = -1, 0
-        shared = m.covisibility[keyframes[s]]
-        for j in range(n_keyframes):
-            if not inside[j] and shared[j] > best_shared:
-                best, best_shared = j, shared[j]
-        if best >= 0:
-            keyframes[n] = best
-            inside[best] = True
-            n += 1
-    collected = np.zeros(n_points, np.bool_)
-    points = np.empty(n_points, np.int32)
-    q = 0
-    for s in range(n):
-        k = keyframes[s]
-        for e in range(m.kf_start[k], m.kf_start[k + 1]):
-            p = m.kp_point[e]
-            if p >= 0 and not collected[p]:
-                collected[p] = True
-                points[q] = p
-                q += 1
-    return keyframes[:n].copy(), points[:q].copy()
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,6 @@ CHI2_2DOF = 5.991
 
 _CHI2_MEDIAN = 1.386  # half of the squared errors of good observations lie below this
 _ROUNDS = 4
-_HUBER_ROUNDS = 2
 _ITERATIONS = 10
 _MIN_POINTS = 3
 _MIN_DEPTH = 1e-6
@@ -49,9 +48,8 @@ def optimize_pose(
 ) -> PoseEstimate:
     """Refine a camera's pose on fixed map points and classify inliers and outliers.
 
-    Four rounds of Levenberg-Marquardt; after each, observations are classified again by their squared error
-    against chi-square at 95%. The first rounds use a Huber loss on all valid observations, the last ones
-    least squares on the inliers.
+    Levenberg-Marquardt with a Huber loss on all valid observations, then least squares on the inliers until
+    they stay, three times at most. Inliers are told by their squared error against chi-square at 95%.
 
     Corners of a smeared image lie further off than usual, all of them. Their noise is then taken from the
     median of the squared errors after the first round, which outliers hardly move.
@@ -74,7 +72,7 @@ def optimize_pose(
         without inliers; if rejection leaves fewer than three, the pose is the last estimate.
 
     Source: Mur-Artal, Montiel, Tardós, "ORB-SLAM", 2015, section V and appendix (motion-only bundle
-        adjustment), rounds as in its public code; Levenberg-Marquardt with the damping of Nielsen, 1999.
+        adjustment); Levenberg-Marquardt with the damping of Nielsen, 1999.
     """
     pose, inlier, noise = _optimize_pose(
         np.ascontiguousarray(T_cam_map, np.float64),
@@ -138,7 +136,7 @@ def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy, max_nois
     variance = 1.0
     active = sound.copy()
     for round_ in range(_ROUNDS):
-        huber2 = CHI2_2DOF if round_ < _HUBER_ROUNDS else 0.0
+        huber2 = CHI2_2DOF if round_ == 0 else 0.0
         refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy)
         if round_ == 0 and max_noise > 1.0:
             variance = _relative_variance(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, max_noise)
@@ -146,7 +144,7 @@ def _optimize_pose(T_start, points, pixels, inv_sigma2, fx, fy, cx, cy, max_nois
         changed = _classify(T, points, pixels, inv_sigma2, sound, fx, fy, cx, cy, inlier)
         if inlier.sum() < _MIN_POINTS:
             break
-        if round_ >= _HUBER_ROUNDS and changed == 0:
+        if round_ > 0 and changed == 0:
             break
         active[:] = inlier
     orthonormalise(T)

@@ -11,8 +11,8 @@ from dslab.slam.optimization import _sim3_kernels as kernels
 
 _CONFIDENCE = 0.999
 _REFITS = 3
-_HUBER_ITERATIONS = 5
-_FINAL_ITERATIONS = 10
+_ITERATIONS = 20
+"""Most steps of a refinement; it ends once they gain nothing."""
 # Smallest relative standard deviation of a map point's depth.
 _MIN_DEPTH_SIGMA = 1e-3
 
@@ -165,7 +165,7 @@ def optimize_sim3(
 ) -> Sim3Result:
     """Refine S_1_2 by reprojection errors in both cameras and by depths.
 
-    A few iterations with a Huber loss on all pairs, then least squares on the inliers of both cameras.
+    With a Huber loss on all pairs, then by least squares on the inliers of both cameras.
     Reprojection determines scale poorly if the two cameras are close, and not at all if they are one frame in
     two maps; the ratio of a pair's depths in the two maps then determines it, weighted by its own scatter.
 
@@ -187,7 +187,7 @@ def optimize_sim3(
         chi2: bound on a pair's squared error in each image, in units of its variance.
         fixed_scale: keep the scale.
 
-    Source: ORB-SLAM, 2015, appendix (relative Sim(3) optimisation), rounds as in its public code.
+    Source: ORB-SLAM, 2015, appendix (relative Sim(3) optimisation).
     """
     pairs = _Pairs.of(points_1cam, points_2cam, pixels_1, pixels_2, sigma2_1, sigma2_2, fx, fy, cx, cy)
     S = np.ascontiguousarray(sim3_matrix(float(s), np.asarray(R, np.float64), np.asarray(t, np.float64)))
@@ -196,11 +196,11 @@ def optimize_sim3(
         return _nothing(n)
     everything = np.isfinite(pairs.points_1.sum(axis=1) + pairs.points_2.sum(axis=1))
     weight = depth_information(S, pairs.points_1, pairs.points_2)
-    kernels.refine(S, *pairs.arrays(), everything, weight, chi2, fixed_scale, _HUBER_ITERATIONS)
+    kernels.refine(S, *pairs.arrays(), everything, weight, chi2, fixed_scale, _ITERATIONS)
     inliers = kernels.agreeing(*pairs.arrays(), chi2, *sim3_decompose(S))
     if inliers.sum() >= 3:
         weight = depth_information(S, pairs.points_1[inliers], pairs.points_2[inliers])
-        kernels.refine(S, *pairs.arrays(), inliers, weight, 0.0, fixed_scale, _FINAL_ITERATIONS)
+        kernels.refine(S, *pairs.arrays(), inliers, weight, 0.0, fixed_scale, _ITERATIONS)
         inliers = kernels.agreeing(*pairs.arrays(), chi2, *sim3_decompose(S))
     s, R, t = sim3_decompose(S)
     return Sim3Result(bool(inliers.sum() >= min_inliers), s, R, t, inliers)

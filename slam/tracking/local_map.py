@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dslab.slam.core.frame import Frame, twist_between
-from dslab.slam.map.map import Map
+from dslab.slam.map._local_map_kernels import local_keyframes, points_seen
+from dslab.slam.map.map import MIN_SHARED, Map
 from dslab.slam.matching import guided
 from dslab.slam.matching.brute_force import match_oriented
 from dslab.slam.optimization.pose import optimize_pose
@@ -22,7 +23,8 @@ def local_map(map_: Map, points: np.ndarray, most: int) -> tuple[np.ndarray, np.
         points: seen in a frame or keyframe.
         most: most keyframes, their neighbours included.
     """
-    return guided.collect_local_map(map_.arrays, map_.n_keyframes, map_.n_points, points, most)
+    keyframes = local_keyframes(map_.arrays, map_.n_keyframes, points, MIN_SHARED, most)
+    return keyframes, points_seen(map_.arrays, map_.n_points, keyframes)
 
 
 def points_of(map_: Map, keyframes: Sequence[int]) -> np.ndarray:

@@ -10,10 +10,10 @@ from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.map.map import Map
-from dslab.slam.matching.guided import collect_local_map
 from dslab.slam.optimization.pose import direction_deviation
 from dslab.slam.places.evidence import VIEW_IS_UNKNOWN, EvidenceBar, support
 from dslab.slam.tracking.doubt import Doubt
+from dslab.slam.tracking.local_map import local_map
 from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
 
@@ -188,7 +188,7 @@ class Probation:
 
     def _judge(self, frame: Frame) -> None:
         m: Map = self.tracker.map
-        _, points = collect_local_map(m.arrays, m.n_keyframes, m.n_points, frame.point, self._config.around)
+        _, points = local_map(m, frame.point, self._config.around)
         radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
         seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=True)
         fault = bar.fault(seen)

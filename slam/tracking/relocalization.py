@@ -1,7 +1,6 @@
 """Relocalization: recognise a mapped place from a single frame and estimate its pose.
 
-Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C, with the two searches of its
-public code.
+Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C; a second, narrower search is ours.
 """
 
 from collections.abc import Sequence

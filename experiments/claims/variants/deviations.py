@@ -137,6 +137,8 @@ NOT_ALONE = {
 
 NOT_TRIED = {
     "loops": "no sequence here comes back to a place",
+    "mapping.association": "it came after the tables, in which both sides searched as ours does",
+    "relocalization.radii_px": "it came after the tables, in which both sides searched twice",
     "tracking.doubt.slower": "without tracking.doubt.nearer it does nothing",
 }
 """Settings, or groups of them, in which the published profile differs, and why no variant has them."""

@@ -1,6 +1,8 @@
 """Third recovery thread: grid-based motion statistics (GMS) matches and EPnP, backward.
 
-Source: Dual-SLAM's public code, step by step: every frame is matched with the last backward keyframe.
+The paper has two threads. This one stands between them: it asks for no prediction, as SIFT's does not, and
+needs no images, as ORB's does not. Source: Bian et al., "GMS", 2017; Lepetit, Moreno-Noguer, Fua, "EPnP",
+2009.
 """
 
 from dslab.slam.core.frame import Frame
@@ -26,7 +28,7 @@ class GmsRecoveryConfig(RecoveryConfig):
 
 
 class GmsRecovery:
-    """Recovery that places frames by GMS matches with the last backward keyframe."""
+    """Recovery that places frames by GMS matches with a keyframe."""
 
     name = "gms"
     needs_images = False
@@ -37,31 +39,30 @@ class GmsRecovery:
         self.config = GmsRecoveryConfig.extending(config)
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
-        """Place the buffered frames newest first, each by its matches with the last keyframe made."""
+        """Place the buffered frames newest first."""
         mapper = LocalMapper(task.new_map, self.config.mapping_in(task))
         return propagate(task, self.config, GmsTracker(task, self.config), mapper)
 
 
 class GmsTracker(Tracker):
-    """Places frames by GMS matches with the last keyframe."""
+    """Places frames by GMS matches with the keyframe that the last one shares most points with."""
 
     def __init__(self, task: RecoveryTask, config: GmsRecoveryConfig) -> None:
         super().__init__(task.new_map, config.tracking_in(task), StageTimer())
         self._gms_config = config
         self._size_px = task.camera.width_px, task.camera.height_px
         self._rng = task.rng
-        self._keyframe = task.first.reference_keyframe
-        self.start(task.first, self._keyframe)
+        self.start(task.first, task.first.reference_keyframe)
 
     def track(self, frame: Frame) -> TrackingOutcome:
-        """Place the frame by matches with the last keyframe, then match the local map.
+        """Place the frame by matches with a keyframe, then match the local map.
 
         Args:
             frame: features only; pose, matches and reference keyframe are filled in.
         """
         config, m = self._gms_config, self.map
         last = self._refreshed_last()
-        keyframe = m.live(self._keyframe)
+        keyframe = m.live(last.reference_keyframe)
         points = m.observed_points(keyframe)
         pairs = match_gms(
             m.features(keyframe), frame.features, self._size_px, GmsConfig(config.threshold_factor)
@@ -88,12 +89,3 @@ class GmsTracker(Tracker):
             return TrackingOutcome(False, inliers, matches, fault)
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
-
-    def pass_over(self, frame: Frame) -> None:
-        """Skip an unusable frame: the next one is matched with the same keyframe."""
-        self.passed_over += 1
-
-    def keyframe_made(self, frame: Frame, keyframe: int) -> None:
-        """Take over that ``frame`` has become ``keyframe``."""
-        super().keyframe_made(frame, keyframe)
-        self._keyframe = keyframe

@@ -11,16 +11,16 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.map._map_kernels import count_observed
-from dslab.slam.tracking.local_map import local_map, match_local, optimize_frame
+from dslab.slam.published._search_kernels import search_last_frame, search_local_map
+from dslab.slam.tracking.local_map import local_map, optimize_frame
 from dslab.slam.tracking.rules.interface import Gate, KeyframeChoice, Loss, Search, Tracking
-from dslab.slam.tracking.rules.own import match_last, track_reference_keyframe
+from dslab.slam.tracking.rules.own import track_reference_keyframe
 
-# Half side of the window around a predicted point, px on level 0; twice as much in the wider search: release.
-_RADIUS_PX = 15.0
+# Windows around a predicted point, px on level 0, and in the local map; twice in the wider search: release.
+_RADIUS_PX, _LOCAL_RADIUS_PX = 15.0, 4.0
 # Fewest matches with the last frame, of them that survive, and with the reference keyframe: release.
 _MATCHES, _INLIERS, _REFERENCE_MATCHES = 20, 10, 15
-_RATIO = 0.8  # best over second best descriptor distance: release
-_LOCAL_KEYFRAMES = 80  # release
+_RATIO = 0.8  # best over second best descriptor distance, without a prediction: release
 # Fewest inliers of a tracked frame; more in the first second after a relocalization: release.
 _LEAST_INLIERS, _LEAST_INLIERS_RESUMED, _RESUMED_S = 30, 50, 1.0
 _FRAMES_APART = 20  # "more than 20 frames": section V-E, conditions 1 and 2
@@ -37,7 +37,7 @@ class PublishedSearch(Search):
             starts.insert(0, (tracking.velocity @ last.T_cam_map, _RADIUS_PX))
         for T_cam_map, radius_px in starts:
             start = np.ascontiguousarray(T_cam_map)
-            if match_last(tracking, frame, last, start, radius_px) >= _MATCHES:
+            if _match_last(tracking, frame, last, start, radius_px) >= _MATCHES:
                 frame.T_cam_map = start.copy()
                 if tracking.optimize(frame) >= _INLIERS:
                     return True
@@ -46,11 +46,27 @@ class PublishedSearch(Search):
 
     def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
         """Match a frame with its local map."""
-        keyframes, points = local_map(tracking.map, frame.point, _LOCAL_KEYFRAMES)
+        m, f = tracking.map, frame.features
+        keyframes, points = local_map(m, frame.point, m.n_keyframes)
         if not len(keyframes):
             return -1
-        match_local(frame, tracking.map, points, 1.0, _RATIO, tracking.observing)
+        search_local_map(
+            m.arrays, m.view, frame.T_cam_map, points, f.xy, f.octave, f.descriptors, f.cell_start,
+            frame.point, _LOCAL_RADIUS_PX, tracking.observing,
+        )  # fmt: skip
         return int(keyframes[0])
+
+
+def _match_last(
+    tracking: Tracking, frame: Frame, last: Frame, T_cam_map: np.ndarray, radius_px: float
+) -> int:
+    """Match a frame with the last one's points around a pose; number of matches."""
+    m, f = tracking.map, frame.features
+    frame.point = search_last_frame(
+        m.arrays, m.view, T_cam_map, last.point, last.features.octave, f.xy, f.octave, f.descriptors,
+        f.cell_start, radius_px,
+    )  # fmt: skip
+    return int((frame.point >= 0).sum())
 
 
 class PublishedGate(Gate):

@@ -18,44 +18,35 @@ def make_corners(kind, n=800, seed=0):
 
 
 def slow_spread(xs, ys, contrasts, n_wanted):
-    """Quadtree of Python lists."""
-    leaves = [(list(range(len(xs))), (0, 0, WIDTH, HEIGHT))]
-    progress = True
-    while progress and len(leaves) < n_wanted:
-        progress = False
-        for k in sorted(range(len(leaves)), key=lambda k: -len(leaves[k][0])):
-            members, (x0, y0, x1, y1) = leaves[k]
-            if len(members) < 2:
-                break
-            mx, my = (x0 + x1 + 1) // 2, (y0 + y1 + 1) // 2
-            boxes = [(x0, y0, mx, my), (mx, y0, x1, my), (x0, my, mx, y1), (mx, my, x1, y1)]
-            children = [
-                ([i for i in members if a <= xs[i] < c and b <= ys[i] < d], (a, b, c, d))
-                for a, b, c, d in boxes
-            ]
-            children = [child for child in children if child[0]]
-            if len(leaves) + len(children) - 1 <= n_wanted:
-                leaves[k] = children[0]
-                leaves += children[1:]
-                progress = True
-    return [max(members, key=lambda i: (contrasts[i], -i)) for members, _ in leaves]
+    """By the definition: the coarsest grid in which a corner is the strongest of its cell, then contrast."""
+    size = max(WIDTH, HEIGHT)
+    grids = [2**k for k in range(20) if size >= 4 * 2**k]
+    coarsest = np.full(len(xs), len(grids))
+    order = np.lexsort([np.arange(len(xs)), -contrasts.astype(int)])
+    for depth, columns in reversed(list(enumerate(grids))):
+        cell = ys.astype(int) * columns // size * columns + xs.astype(int) * columns // size
+        _, first = np.unique(cell[order], return_index=True)
+        coarsest[order[first]] = depth
+    return set(np.lexsort([np.arange(len(xs)), -contrasts.astype(int), coarsest])[:n_wanted].tolist())
 
 
 @pytest.mark.parametrize("kind", ["even", "clump"])
 @pytest.mark.parametrize("n_wanted", [1, 2, 3, 50, 301, 790])
-def test_the_choice_agrees_with_python(kind, n_wanted):
+def test_the_choice_is_as_defined(kind, n_wanted):
     xs, ys, contrasts = make_corners(kind)
+    contrasts = np.random.default_rng(1).permutation(len(xs)).astype(np.uint8)  # few are equal
     chosen = spread_corners(xs, ys, contrasts, HEIGHT, WIDTH, n_wanted)
     assert chosen.dtype == np.int32
-    assert chosen.tolist() == slow_spread(xs, ys, contrasts, n_wanted)
+    assert len(chosen) == min(n_wanted, len(xs))
+    expected = slow_spread(xs, ys, contrasts, n_wanted)
+    # Of equals at the end any may be chosen.
+    assert len(expected ^ set(chosen.tolist())) <= 2 * (np.bincount(contrasts).max() - 1)
 
 
-@pytest.mark.parametrize("seed", range(5))
-@pytest.mark.parametrize("n_wanted", [5, 60, 333])
-def test_the_choice_is_unique_and_nearly_complete(seed, n_wanted):
-    chosen = spread_corners(*make_corners("clump", seed=seed), HEIGHT, WIDTH, n_wanted)
-    assert n_wanted - 2 <= len(chosen) <= n_wanted
-    assert len(np.unique(chosen)) == len(chosen)
+def test_of_more_corners_fewer_are_chosen_again():
+    xs, ys, contrasts = make_corners("even")
+    few, many = (set(spread_corners(xs, ys, contrasts, HEIGHT, WIDTH, n).tolist()) for n in (100, 300))
+    assert few < many
 
 
 def test_a_cluster_does_not_displace_other_corners():

@@ -3,7 +3,7 @@ import pytest
 from numba import njit
 
 from dslab.slam.features._hamming import hamming, hamming256, popcount64
-from dslab.slam.matching.brute_force import match_brute_force, rotation_consistent
+from dslab.slam.matching.brute_force import match_brute_force, match_oriented
 
 
 def random_descriptors(rng, n):
@@ -117,29 +117,10 @@ def test_layout_of_the_input_does_not_matter():
     assert match_brute_force(strided, a, 10, 0.8).tolist() == [[i, i] for i in range(60)]
 
 
-@pytest.mark.parametrize("turn_deg", [0.0, 6.0, 90.0, 179.0, 359.0])
-def test_matches_with_a_common_rotation_are_kept(turn_deg):
+def test_matches_are_kept_that_turn_alike():
     rng = np.random.default_rng(10)
-    angle_a = rng.uniform(0, 360, 300).astype(np.float32)
-    angle_b = ((angle_a + turn_deg + rng.normal(0, 2, 300)) % 360).astype(np.float32)
-    stray = np.arange(300) >= 240
-    angle_b[stray] = ((angle_a[stray] + turn_deg + rng.uniform(40, 320, 60)) % 360).astype(np.float32)
-    pairs = rng.permutation(300).astype(np.int32)
-    kept = rotation_consistent(angle_a, angle_b, np.stack([pairs, pairs], axis=1))
-    assert kept[~stray[pairs]].mean() > 0.98
-    # A stray bin holds few matches against the first: all but none of the strays may stay.
-    assert kept[stray[pairs]].mean() < 0.2
-
-
-def test_rotation_keeps_at_most_three_bins_and_drops_rare_ones():
-    angle_a = np.zeros(40, np.float32)
-    angle_b = np.array([0] * 20 + [60] * 10 + [120] * 6 + [180] * 4, np.float32)
-    pairs = np.stack([np.arange(40)] * 2, axis=1).astype(np.int32)
-    assert rotation_consistent(angle_a, angle_b, pairs).tolist() == [True] * 36 + [False] * 4
-    angle_b = np.array([0] * 39 + [60], np.float32)
-    assert rotation_consistent(angle_a, angle_b, pairs).tolist() == [True] * 39 + [False]
-
-
-def test_rotation_of_no_matches_is_empty():
-    angles = np.zeros(3, np.float32)
-    assert rotation_consistent(angles, angles, np.empty((0, 2), np.int32)).shape == (0,)
+    desc, angle = random_descriptors(rng, 100), rng.uniform(0, 360, 100).astype(np.float32)
+    turned = ((angle + np.where(np.arange(100) < 80, 300, 120)) % 360).astype(np.float32)
+    pairs = match_oriented(desc, angle, desc, turned, 50, 0.8)
+    assert pairs.tolist() == [[i, i] for i in range(80)]
+    assert match_oriented(desc[:0], angle[:0], desc, turned, 50, 0.8).shape == (0, 2)

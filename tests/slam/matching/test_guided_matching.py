@@ -95,31 +95,6 @@ def test_local_points_are_found_and_counted_as_visible():
     assert (m.arrays.pt_visible[frame.point] == 2).sum() == expected
 
 
-def test_only_matches_with_a_common_rotation_are_kept():
-    rng = np.random.default_rng(3)
-    turn = np.where(np.arange(200) < 150, rng.normal(40, 3, 200), rng.uniform(0, 360, 200))
-    matched = np.arange(200, dtype=np.int32)
-    left = guided.keep_common_rotation(matched, turn)
-    assert (matched[:150] >= 0).all()
-    assert left == (matched >= 0).sum() < 175
-
-
-def test_the_local_map_has_keyframes_with_common_points_and_their_neighbours():
-    m = random_map(np.random.default_rng(4), keyframes=8, points=120)
-    point = m.points()[:5].astype(np.int32)
-    keyframes, points = guided.collect_local_map(m.arrays, m.n_keyframes, m.n_points, point, 80)
-    votes = np.zeros(8, int)
-    for p in point:
-        e = int(m.arrays.pt_head[p])
-        while e >= 0:
-            votes[m.arrays.kp_keyframe[e]] += 1
-            e = int(m.arrays.kp_next[e])
-    assert set(np.flatnonzero(votes)) <= set(keyframes.tolist())
-    assert votes[keyframes[0]] == votes.max()
-    owned = np.concatenate([m.observed_points(int(k)) for k in keyframes])
-    assert set(points.tolist()) == set(owned[owned >= 0].tolist())
-
-
 def test_duplicates_of_a_keyframe_are_fused():
     m, frame = scene(np.random.default_rng(5), n=150)
     m.arrays.pt_max_distance[: m.n_points] = (

@@ -6,8 +6,9 @@ from slam_scenes import CAMERA, VIEW, PointWorld, rigid
 
 from dslab.slam.matching._windowed_kernels import match_for_initialization
 from dslab.slam.matching.gms import GmsConfig, match_gms
-from dslab.slam.matching.guided import NEAR, keep_common_rotation
+from dslab.slam.matching.guided import NEAR
 from dslab.slam.matching.initial import GmsMatcher, WindowedMatcher
+from dslab.slam.matching.orientation import keep_common_turn
 
 WORLD = PointWorld(seed=5, points=9000, reach=(-8.0, 8.0))
 SIZE_PX = (CAMERA.width_px, CAMERA.height_px)
@@ -74,7 +75,7 @@ def windowed_reference(a, b, around, radius_px, max_octave, ratio):
         matched[j] = i
     turn = np.where(matched >= 0, a.angle_deg.astype(float) - b.angle_deg[matched], 0.0)
     matched = matched.astype(np.int32)
-    return matched, keep_common_rotation(matched, turn)
+    return matched, keep_common_turn(matched, turn)
 
 
 @pytest.mark.parametrize(("bits", "radius_px"), [(2, 4.0), (20, 100.0)])

@@ -1,0 +1,177 @@
+"""What local mapping decides by: how keypoints of keyframes are matched, how their errors weigh, what leaves.
+
+``own`` are the rules of release 0.2.0, ``published`` those of ORB-SLAM's text, ``derived`` those that follow
+from covariances.
+"""
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from dslab.slam.association._kernels import density_of
+from dslab.slam.association._mapping_kernels import (
+    depths_around,
+    fuse_points,
+    points_along_rays,
+    unobserved_in,
+)
+from dslab.slam.association.descriptors import odds_by_distance
+from dslab.slam.map import _map_kernels as kernels
+from dslab.slam.map._local_map_kernels import local_keyframes
+from dslab.slam.map.map import MIN_SHARED, Map
+from dslab.slam.mapping import _triangulation_search as own
+from dslab.slam.matching.guided import fuse_into_keyframe
+from dslab.slam.optimization.bundle_adjustment import likeliest_bundle, local_bundle_adjust
+from dslab.slam.published import _mapping_kernels as published
+from dslab.slam.published._search_kernels import search_keyframe
+
+if TYPE_CHECKING:
+    from dslab.slam.mapping.local_mapping import LocalMappingConfig
+
+MapRule = Literal["own", "published", "derived"]
+"""By which local mapping decides."""
+Points = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+_SURE = 0.9
+"""Posterior of a match that the map is built on: a wrong one stays."""
+_TARGETS = 2
+"""Keyframes searched for the points of a new one, over those that it is triangulated with."""
+_SECOND = 5
+"""Neighbours of a neighbour that are searched too."""
+_FUSE_PX = 3.0
+"""Window around a point sought in a keyframe, px on the finest level; release."""
+
+
+class MapRules(ABC):
+    """Rules of local mapping."""
+
+    coarser = True
+    """Whether what others see more coarsely makes a keyframe redundant; see ``redundant_share``."""
+    adjust = staticmethod(local_bundle_adjust)
+    """Local bundle adjustment."""
+    converges = False
+    """Whether it runs until it gains nothing, and not for ``robust_iterations``."""
+
+    def __init__(self, map_: Map, config: "LocalMappingConfig") -> None:
+        self.map = map_
+        self.config = config
+
+    def expected_depths(self, keyframe: int) -> np.ndarray:
+        """Whatever points around say of the depth of each keypoint of a keyframe."""
+        return np.empty(0)
+
+    @abstractmethod
+    def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
+        """Match free keypoints of two keyframes and triangulate them.
+
+        Args:
+            keyframe, other: rows.
+            nearest: least depth in the first, map units.
+            expected: as of :meth:`expected_depths`.
+
+        Returns:
+            Keypoints of both (n,) int32 each, points (n, 3).
+        """
+
+    @abstractmethod
+    def seek(self, keyframe: int, points: np.ndarray) -> None:
+        """Find points (Q,) int32 in a keyframe that does not observe them; those that are one become one."""
+
+    def targets(self, keyframe: int) -> list[int]:
+        """Keyframes in which the points of a new one are sought, and whose points are sought in it."""
+        m = self.map
+        first = m.neighbours(keyframe, self.config.neighbours)
+        second = [k for n in first for k in m.neighbours(int(n), _SECOND)]
+        return [int(k) for k in dict.fromkeys([*first, *second]) if k != keyframe]
+
+    def redundant(self, keyframe: int) -> float:
+        """Share of a keyframe's points of which three others know as much."""
+        return kernels.redundant_share(self.map.arrays, keyframe, self.coarser, self.map.view)
+
+
+class OwnMapRules(MapRules):
+    """Epipolar lines and windows, with a least parallax at the depth of the points around."""
+
+    def expected_depths(self, keyframe: int) -> np.ndarray:
+        """(n,) median of the points around."""
+        return own.surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
+
+    def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
+        """The nearest descriptor of a line, if it is clearly nearest."""
+        m, config = self.map, self.config
+        cosine, ratio = float(np.cos(np.deg2rad(config.min_parallax_deg))), config.descriptor_ratio
+        return own.new_points(m.arrays, m.view, keyframe, other, nearest, expected, cosine, ratio)
+
+    def seek(self, keyframe: int, points: np.ndarray) -> None:
+        """In windows of fixed size."""
+        fuse_into_keyframe(self.map.arrays, self.map.view, keyframe, points, _FUSE_PX)
+
+
+class PublishedMapRules(MapRules):
+    """Sections VI-C and VI-E of ORB-SLAM."""
+
+    coarser = False
+
+    def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
+        """The nearest descriptor that fulfils the epipolar constraint."""
+        m, cosine = self.map, float(np.cos(np.deg2rad(self.config.min_parallax_deg)))
+        return published.new_points(m.arrays, m.view, keyframe, other, nearest, cosine)
+
+    def seek(self, keyframe: int, points: np.ndarray) -> None:
+        """As points of the local map are sought in a frame."""
+        search_keyframe(self.map.arrays, self.map.view, keyframe, points, _FUSE_PX)
+
+    def targets(self, keyframe: int) -> list[int]:
+        """The connected keyframes."""
+        return [int(k) for k in self.map.neighbours(keyframe, self.config.neighbours)]
+
+
+class DerivedMapRules(MapRules):
+    """Matches by their posterior, along rays and in windows of covariances; errors of Student's t."""
+
+    adjust = staticmethod(likeliest_bundle)
+    converges = True
+
+    def expected_depths(self, keyframe: int) -> np.ndarray:
+        """(n, 3) as of ``depths_around``."""
+        return depths_around(self.map.arrays, self.map.view, keyframe)
+
+    def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
+        """The likeliest along a ray, where the depth would be known well enough."""
+        m = self.map
+        return points_along_rays(
+            m.arrays, m.view, keyframe, other, m.noise2, nearest, expected, self.config.max_depth_error,
+            self._density(other), odds_by_distance(), _SURE,
+        )  # fmt: skip
+
+    def seek(self, keyframe: int, points: np.ndarray) -> None:
+        """In windows of 99 %, by the posterior."""
+        m = self.map
+        density = self._density(keyframe)
+        fuse_points(m.arrays, m.view, keyframe, points, m.noise2, density, odds_by_distance(), _SURE)
+
+    def targets(self, keyframe: int) -> list[int]:
+        """Keyframes around that should show most of the new one's points without observing them.
+
+        One that should show fewer of them than neighbours share cannot become one.
+        """
+        m = self.map
+        points = m.observed_points(keyframe).copy()
+        around = local_keyframes(m.arrays, m.n_keyframes, points, MIN_SHARED, m.n_keyframes)
+        around = around[around != keyframe]
+        missing = unobserved_in(m.arrays, m.view, around, points)
+        order = np.argsort(-missing, kind="stable")[: self.config.neighbours * _TARGETS]
+        return [int(k) for k in around[order[missing[order] >= MIN_SHARED]]]
+
+    def _density(self, keyframe: int) -> np.ndarray:
+        """(levels,) keypoints per px² of every octave of a keyframe."""
+        m, view = self.map, self.map.view
+        image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
+        return density_of(m.arrays.kp_octave[m.keypoints(keyframe)], len(view.scale), image)
+
+
+def map_rules(map_: Map, config: "LocalMappingConfig") -> MapRules:
+    """The rules that settings name, for a map."""
+    by_name = {"own": OwnMapRules, "published": PublishedMapRules, "derived": DerivedMapRules}
+    return by_name[config.association](map_, config)
