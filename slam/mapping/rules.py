@@ -57,8 +57,8 @@ class MapRules(ABC):
         self.map = map_
         self.config = config
 
-    def expected_depths(self, keyframe: int) -> np.ndarray:
-        """Whatever points around say of the depth of each keypoint of a keyframe."""
+    def expected_depths(self, keyframe: int, otherwise: float = 0.0) -> np.ndarray:
+        """What points around say of each keypoint's depth; ``otherwise``, if not 0, where there are none."""
         return np.empty(0)
 
     @abstractmethod
@@ -93,9 +93,10 @@ class MapRules(ABC):
 class OwnMapRules(MapRules):
     """Epipolar lines and windows, with a least parallax at the depth of the points around."""
 
-    def expected_depths(self, keyframe: int) -> np.ndarray:
+    def expected_depths(self, keyframe: int, otherwise: float = 0.0) -> np.ndarray:
         """(n,) median of the points around."""
-        return own.surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
+        found = own.surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
+        return np.where(found > 0, found, otherwise) if self.config.depth_around > 0 else found
 
     def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
         """The nearest descriptor of a line, if it is clearly nearest."""
@@ -133,9 +134,12 @@ class DerivedMapRules(MapRules):
     adjust = staticmethod(likeliest_bundle)
     converges = True
 
-    def expected_depths(self, keyframe: int) -> np.ndarray:
-        """(n, 3) as of ``depths_around``."""
-        return depths_around(self.map.arrays, self.map.view, keyframe)
+    def expected_depths(self, keyframe: int, otherwise: float = 0.0) -> np.ndarray:
+        """(n, 3) as of ``depths_around``; other depths are those of another surface."""
+        found = depths_around(self.map.arrays, self.map.view, keyframe)
+        if otherwise > 0:
+            found[found[:, 0] == 0] = otherwise, 1.0, 1.0
+        return found
 
     def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
         """The likeliest along a ray, where the depth would be known well enough."""

@@ -103,9 +103,8 @@ class TrackMapper(LocalMapper):
         super()._create_points(keyframe)
         # These need not share points with it, and it need not have any.
         depth = self._views[keyframe].depth
-        nearest, expected = self.config.min_depth * depth, self._expected_depths(keyframe)
-        if self.config.depth_around > 0:
-            expected = np.where(expected > 0, expected, depth)
+        nearest = self.config.min_depth * depth
+        expected = self.rules.expected_depths(keyframe, depth)
         covisible = set(self.map.neighbours(keyframe, self.config.neighbours).tolist())
         for other in list(self._views)[-1 - self._paired : -1]:
             if other not in covisible and not self.map.arrays.kf_bad[other]:
