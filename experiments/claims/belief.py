@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from pydantic import Field, field_validator
 
-from dslab.experiments.claims.spec import ClaimSpec, Row, Unit
+from dslab.experiments.claims.spec import SYSTEMS_WITH_POINTS, ClaimSpec, Row, SystemsWithPoints, Unit
 from dslab.experiments.claims.two_view import depth_at
 from dslab.experiments.eq1.trial import frames_of
 from dslab.experiments.evaluation.alignment import Undefined, align_poses
@@ -28,7 +28,6 @@ from dslab.slam.association._kernels import spread_of_pixel
 from dslab.slam.core._frame_kernels import motion_between
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.results import RelativePose
-from dslab.slam.factory import DIRECT, SYSTEMS
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.student import CHI2_99
 from dslab.slam.tracking.local_map import local_map
@@ -54,22 +53,11 @@ class BeliefSpec(ClaimSpec):
     """The spec of an experiment on what systems believe."""
 
     kind: Literal["belief"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    systems: tuple[str, ...] = Field(("base",), min_length=1, description="of ours, with points in a map")
+    systems: SystemsWithPoints = SYSTEMS_WITH_POINTS
     settings: dict[str, Any] = Field(
         default_factory=dict, description="of the systems, as in a settings file of `dslab run`"
     )
     every: int = Field(4, ge=1, description="frames from one that is looked at to the next")
-
-    @field_validator("systems")
-    @classmethod
-    def _check_systems(cls, systems: tuple[str, ...]) -> tuple[str, ...]:
-        known = [name for name in SYSTEMS if name not in DIRECT]
-        for name in systems:
-            if name not in known:
-                raise ValueError(
-                    f"{name} is no system of ours with points in a map, use {' or '.join(known)}"
-                )
-        return systems
 
     @field_validator("settings")
     @classmethod

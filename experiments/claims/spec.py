@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import yaml
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from dslab.experiments.eq1.spec_parts import Base, Degradation
 from dslab.experiments.eq1.unit_drawing import Cell, draw_scenario, written_base
@@ -18,6 +18,7 @@ from dslab.scenarios.faults import guess
 from dslab.scenarios.seeds import rng_for
 from dslab.scenarios.spec import Scenario
 from dslab.scenarios.strict import Strict
+from dslab.slam.factory import DIRECT, SYSTEMS
 
 Unit = dict[str, Any]
 """Plain JSON data that names its world; what of it is a number or text is in its rows too."""
@@ -25,6 +26,19 @@ Row = dict[str, Any]
 """A flat row of plain numbers, text and None."""
 ENOUGH_WORLDS = 30
 """With fewer worlds an experiment is a look."""
+
+
+def _with_points(systems: tuple[str, ...]) -> tuple[str, ...]:
+    known = [name for name in SYSTEMS if name not in DIRECT]
+    for name in systems:
+        if name not in known:
+            raise ValueError(f"{name} is no system of ours with points in a map, use {' or '.join(known)}")
+    return systems
+
+
+SystemsWithPoints = Annotated[tuple[str, ...], AfterValidator(_with_points)]
+"""Systems of ours that have points in a map, as a field of a spec."""
+SYSTEMS_WITH_POINTS = Field(("base",), min_length=1, description="of ours, with points in a map")
 _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
 

@@ -66,12 +66,12 @@ def relative_covariance(m, view, n_keyframes, keyframe, T_cam_map, points, octav
     free = 1 + (cameras[1] >= 0) + (cameras[2] >= 0)
     H = np.zeros((6 * free, 6 * free))
     Jc, Jp = np.empty((2, 6)), np.empty((2, 3))
-    A, AV = np.empty((3, 6, 3)), np.empty((6, 3))
+    A, AV, W, V = np.empty((3, 6, 3)), np.empty((6, 3)), np.empty((3, 3)), np.empty((3, 3))
     seen = np.empty(3, np.int64)
     covariance = np.full((6, 6), np.inf)
     for i in range(len(points)):
         p = points[i]
-        W = np.zeros((3, 3))
+        W[:] = 0.0
         n = np.int64(0)
         _jacobians(view, T_cam_map, m.pt_xyz[p], Jc, Jp)
         n = _observe(H, W, A, seen, n, np.int64(0), Jc, Jp, view.inv_sigma2[octave[i]] / frame_noise2)
@@ -92,7 +92,7 @@ def relative_covariance(m, view, n_keyframes, keyframe, T_cam_map, points, octav
         least = 1e-12 * (W[0, 0] + W[1, 1] + W[2, 2])
         for r in range(3):
             W[r, r] += least
-        V = _inverse_3(W)
+        _invert_3(W, V)
         for a in range(n):
             for r in range(6):
                 for c in range(3):
@@ -172,17 +172,16 @@ def _observe(H, W, A, seen, n, camera, Jc, Jp, weight):
 
 
 @njit(cache=True, nogil=True)
-def _inverse_3(W):
-    """Inverse of a symmetric (3, 3)."""
+def _invert_3(W, V):
+    """Write the inverse of a symmetric (3, 3)."""
     A, B = W[1, 1] * W[2, 2] - W[1, 2] ** 2, W[0, 2] * W[1, 2] - W[0, 1] * W[2, 2]
     C = W[0, 1] * W[1, 2] - W[0, 2] * W[1, 1]
     det = W[0, 0] * A + W[0, 1] * B + W[0, 2] * C
-    V = np.empty((3, 3))
-    V[0, 0], V[0, 1], V[0, 2] = A, B, C
-    V[1, 1], V[1, 2] = W[0, 0] * W[2, 2] - W[0, 2] ** 2, W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2]
-    V[2, 2] = W[0, 0] * W[1, 1] - W[0, 1] ** 2
-    V[1, 0], V[2, 0], V[2, 1] = B, C, V[1, 2]
-    return V / det
+    V[0, 0], V[0, 1], V[0, 2] = A / det, B / det, C / det
+    V[1, 1] = (W[0, 0] * W[2, 2] - W[0, 2] ** 2) / det
+    V[1, 2] = (W[0, 1] * W[0, 2] - W[0, 0] * W[1, 2]) / det
+    V[2, 2] = (W[0, 0] * W[1, 1] - W[0, 1] ** 2) / det
+    V[1, 0], V[2, 0], V[2, 1] = V[0, 1], V[0, 2], V[1, 2]
 
 
 @njit(cache=True, nogil=True)

@@ -35,8 +35,9 @@ Points = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 _SURE = 0.9
 """Posterior of a match that the map is built on: a wrong one stays."""
-_TARGETS = 2
-"""Keyframes searched for the points of a new one, over those that it is triangulated with."""
+_AROUND, _TARGETS = 4, 2
+"""Keyframes looked at for the points of a new one, and those that are searched, over those that it is
+triangulated with."""
 _SECOND = 5
 """Neighbours of a neighbour that are searched too."""
 _FUSE_PX = 3.0
@@ -162,7 +163,8 @@ class DerivedMapRules(MapRules):
         """
         m = self.map
         points = m.observed_points(keyframe).copy()
-        around = local_keyframes(m.arrays, m.n_keyframes, points, MIN_SHARED, m.n_keyframes)
+        most = self.config.neighbours * _AROUND
+        around = local_keyframes(m.arrays, m.n_keyframes, points, MIN_SHARED, most)
         around = around[around != keyframe]
         missing = unobserved_in(m.arrays, m.view, around, points)
         order = np.argsort(-missing, kind="stable")[: self.config.neighbours * _TARGETS]

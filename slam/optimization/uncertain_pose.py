@@ -167,16 +167,9 @@ def _accumulate(
     total, squares, count = 0.0, PRIOR_WORTH * usual2, 0.0
     for i in range(n):
         own = noise2 / inv_sigma2[i] + extra
-        uu, uv, vv = _linearise(T, points[i], point_covariance[i], pixels[i], noise2, own, intrinsics, J, e)
-        right[i] = 0.0
-        if uu == 0.0:
-            continue
-        det = uu * vv - uv * uv
-        a, b, c = vv / det, -uv / det, uu / det
-        x, y = a * e[0] + b * e[1], b * e[0] + c * e[1]
-        chi2 = x * e[0] + y * e[1]
-        likely = share * density_at(chi2, det)
-        p = likely / (likely + (1.0 - share) / area[i])
+        p, chi2, x, y, a, b, c = _judged(
+            T, points[i], point_covariance[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
+        )
         right[i] = p
         total += p
         if p <= 1e-6:
@@ -189,6 +182,24 @@ def _accumulate(
     told2 = squares / max(PRIOR_WORTH + count - min(6.0, count), 1.0)
     told2 = min(max(told2, usual2 / MOST_NOISE2), usual2 * MOST_NOISE2)
     return (total + _RIGHT) / (n + _RIGHT + _WRONG), told2
+
+
+@njit(cache=True, nogil=True)
+def _judged(T, xyz, point_covariance, pixel, area, noise2, own, share, intrinsics, J, e):
+    """Probability of a match to be right, 0 behind the camera, where ``share`` of all are; J, e are written.
+
+    Returns:
+        (probability, χ², error times information (x, y), information (uu, uv, vv)).
+    """
+    uu, uv, vv = _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e)
+    if uu == 0.0:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    det = uu * vv - uv * uv
+    a, b, c = vv / det, -uv / det, uu / det
+    x, y = a * e[0] + b * e[1], b * e[0] + c * e[1]
+    chi2 = x * e[0] + y * e[1]
+    likely = share * density_at(chi2, det)
+    return likely / (likely + (1.0 - share) / area), chi2, x, y, a, b, c
 
 
 @njit(cache=True, nogil=True)
@@ -268,16 +279,9 @@ def _certainty(
     H, gradient = np.zeros((most + 1, 6, 6)), np.zeros((most + 1, 6))
     for i in range(n):
         own = noise2 / inv_sigma2[i]
-        uu, uv, vv = _linearise(T, points[i], point_covariance[i], pixels[i], noise2, own, intrinsics, J, e)
-        right[i] = 0.0
-        if uu == 0.0:
-            continue
-        det = uu * vv - uv * uv
-        a, b, c = vv / det, -uv / det, uu / det
-        x, y = a * e[0] + b * e[1], b * e[0] + c * e[1]
-        chi2 = x * e[0] + y * e[1]
-        likely = share * density_at(chi2, det)
-        right[i] = likely / (likely + (1.0 - share) / area[i])
+        right[i], chi2, x, y, a, b, c = _judged(
+            T, points[i], point_covariance[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
+        )
         if right[i] > 1e-6:
             k = cell[i]
             count[k] += right[i]

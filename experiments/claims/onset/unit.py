@@ -11,10 +11,10 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from dslab.experiments.claims.onset.watch import MapWatch, StepJudge, live_errors
-from dslab.experiments.claims.spec import ClaimSpec, Row, Unit
+from dslab.experiments.claims.spec import SYSTEMS_WITH_POINTS, ClaimSpec, Row, SystemsWithPoints, Unit
 from dslab.experiments.eq1.records import SHAM
 from dslab.experiments.eq1.trial import frames_of
 from dslab.experiments.evaluation.alignment import Undefined
@@ -27,7 +27,6 @@ from dslab.sim.frame_plan import ideal_camera, taking_intrinsics
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.events import Breakage, MapDropped
 from dslab.slam.core.results import TrackingResult
-from dslab.slam.factory import DIRECT, SYSTEMS
 
 UNIT, STEP = "unit", "step"
 """Kinds of rows: what came of a unit, and one per step of its map."""
@@ -42,7 +41,7 @@ class OnsetSpec(ClaimSpec):
     """The spec of an experiment on when maps become wrong."""
 
     kind: Literal["onset"]  # pyright: ignore[reportIncompatibleVariableOverride]
-    systems: tuple[str, ...] = Field(("base",), min_length=1, description="of ours, with points in a map")
+    systems: SystemsWithPoints = SYSTEMS_WITH_POINTS
     unusual: float = Field(
         3.0,
         gt=0,
@@ -54,17 +53,6 @@ class OnsetSpec(ClaimSpec):
     )
     just_before_s: float = Field(0.5, gt=0, description="before an end, in which the live pose is looked at")
     placebo_times: int = Field(20, ge=1, description="random ends in every unstressed unit")
-
-    @field_validator("systems")
-    @classmethod
-    def _check_systems(cls, systems: tuple[str, ...]) -> tuple[str, ...]:
-        known = [name for name in SYSTEMS if name not in DIRECT]
-        for name in systems:
-            if name not in known:
-                raise ValueError(
-                    f"{name} is no system of ours with points in a map, use {' or '.join(known)}"
-                )
-        return systems
 
 
 def units(spec: OnsetSpec) -> list[Unit]:

@@ -32,7 +32,7 @@ BY_PLACE = replace(
 def fused_by_place():
     """The scene of the saved map is still in view after the breakage."""
     images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
-    system = dual(BY_PLACE)
+    system = dual(replace(BY_PLACE, start_keyframes=50))
     results = feed(system, blanked(images, range(50, 56)), stamps_s)
     return system, results, T_world_cam
 
@@ -130,7 +130,7 @@ def test_far_in_time_a_view_may_contradict_a_join_no_more_than_a_frame_a_relocal
 def test_place_merging_can_be_switched_off(fused_by_place):
     images, stamps_s, _ = toy(130, 0, STEP_M)
     count = of(fused_by_place[0], "fusion")[0].frame + 3
-    system = dual(replace(BY_PLACE, place_merging=None))
+    system = dual(replace(BY_PLACE, start_keyframes=50, place_merging=None))
     feed(system, blanked(images, range(50, 56))[:count], stamps_s[:count], check=False)
     assert kinds(system) == kinds(fused_by_place[0])[:-1]
 

@@ -91,7 +91,7 @@ def test_the_first_pose_behind_a_gap_needs_as_many_inliers_in_every_kind(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_map_that_is_doubted_on_the_way_back_ends_the_recovery(kind):
     always = DoubtConfig(window_s=0.07, memory_s=1.0, min_frames=2, unsteady=0.0, least=0.0, min_share=0.1)
-    result = blind_scene().run(kind, RecoveryConfig(doubt=always))
+    result = blind_scene().run(kind, RecoveryConfig(doubt=always, whole_buffer=True))
     assert (result.success, result.stage) == (False, "propagation")
     assert result.reason == "motion_beyond_prediction"
 

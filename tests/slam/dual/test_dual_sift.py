@@ -194,7 +194,7 @@ def test_features_without_a_map_point_near_are_triangulated_with_later_keyframes
     assert beside.known.mean() < 0.6 and ahead.known.mean() > 0.8
     assert ahead.known[beside.known].all()
     ratio = ahead.xyz_cam[beside.known, 2] / beside.xyz_cam[beside.known, 2]
-    assert 0.94 < np.percentile(ratio, 5) < 0.99 < np.median(ratio) < 1.01 < np.percentile(ratio, 95) < 1.06
+    assert 0.92 < np.percentile(ratio, 5) < 0.99 < np.median(ratio) < 1.01 < np.percentile(ratio, 95) < 1.06
 
 
 def test_triangulation_of_pairs_rejects_what_is_inconsistent():

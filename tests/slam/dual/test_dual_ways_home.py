@@ -11,6 +11,7 @@ from test_dual_lifecycle import Lasting
 from dslab.slam.core.events import TrackingState
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.fusion.fuse import FusionConfig
+from dslab.slam.places.evidence import EvidenceBar
 from dslab.slam.tracking.probation import ProbationConfig
 
 BLANK = range(50, 56)
@@ -62,6 +63,8 @@ def test_a_place_that_is_all_but_confirmed_counts_though_a_recovery_has_begun_me
     """The recovery would fail: the scene of the new map was not lit before."""
     images, stamps_s, _ = beside_a_new_scene(both=65)
     system = with_own_threads([Lasting(200)], relocalization=True, start_keyframes=4)
+    half = EvidenceBar(min_share=0.5, max_contradicted=0.5, min_extent=0.16)  # a third is another scene
+    reconfigure(system, probation=ProbationConfig(bar=half))
     feed(system, images, stamps_s)
     (start,), (end,), (dropped,), (back,) = (
         of(system, k) for k in ("recovery_start", "recovery_end", "map_dropped", "relocalized")
