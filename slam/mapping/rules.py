@@ -35,9 +35,8 @@ Points = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 _SURE = 0.9
 """Posterior of a match that the map is built on: a wrong one stays."""
-_AROUND, _TARGETS = 4, 2
-"""Keyframes looked at for the points of a new one, and those that are searched, over those that it is
-triangulated with."""
+_AROUND = 3
+"""Keyframes that are looked at for the points of a new one, over those that are searched."""
 _SECOND = 5
 """Neighbours of a neighbour that are searched too."""
 _FUSE_PX = 3.0
@@ -167,7 +166,7 @@ class DerivedMapRules(MapRules):
         around = local_keyframes(m.arrays, m.n_keyframes, points, MIN_SHARED, most)
         around = around[around != keyframe]
         missing = unobserved_in(m.arrays, m.view, around, points)
-        order = np.argsort(-missing, kind="stable")[: self.config.neighbours * _TARGETS]
+        order = np.argsort(-missing, kind="stable")[: self.config.neighbours]
         return [int(k) for k in around[order[missing[order] >= MIN_SHARED]]]
 
     def _density(self, keyframe: int) -> np.ndarray:
