@@ -68,7 +68,8 @@ def test_what_a_thread_leaves_open_is_as_in_the_system(kind):
 
     def result(system, **own):
         task = replace(scene.again(), system=system)
-        return build_thread(ThreadSpec(kind, config=RecoveryConfig(**own))).run(task)
+        own_config = RecoveryConfig(whole_buffer=True, **own)
+        return build_thread(ThreadSpec(kind, config=own_config)).run(task)
 
     usual = result(SlamConfig())
     assert result(slow).keyframes_made < usual.keyframes_made
