@@ -19,15 +19,15 @@ def nearest(view, xy, octave, descriptors, cell_start, first, u, v, radius, fine
         query: (4,) uint64 descriptor.
 
     Returns:
-        (row within the frame or -1, distance in bits, that of the second nearest; 257 for none).
+        (row within the frame or -1, distance in bits or 257).
     """
-    found, best, second = -1, 257, 257
+    found, best = -1, 257
     left = max(int((u - radius - view.x_min) / view.cell), 0)
     right = min(int((u + radius - view.x_min) / view.cell), view.cols - 1)
     top = max(int((v - radius - view.y_min) / view.cell), 0)
     bottom = min(int((v + radius - view.y_min) / view.cell), view.rows - 1)
     if u + radius < view.x_min or v + radius < view.y_min or left > right:
-        return found, best, second
+        return found, best
     for r in range(top, bottom + 1):
         for i in range(cell_start[r * view.cols + left], cell_start[r * view.cols + right + 1]):
             e = first + i
@@ -36,7 +36,5 @@ def nearest(view, xy, octave, descriptors, cell_start, first, u, v, radius, fine
                 continue
             bits = hamming256(query, descriptors[e])
             if bits < best:
-                found, best, second = i, bits, best
-            elif bits < second:
-                second = bits
-    return found, best, second
+                found, best = i, bits
+    return found, best

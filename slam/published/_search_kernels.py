@@ -70,7 +70,7 @@ def search_last_frame(
         if z <= 0 or not in_view(view, u, v):
             continue
         level = last_octave[j]
-        i, bits, _ = nearest(
+        i, bits = nearest(
             view, xy, octave, descriptors, cell_start, np.int64(0), u, v, radius * view.scale[level],
             level - 1.0, level + 1.0, m.pt_descriptor[p],
         )  # fmt: skip
@@ -108,7 +108,7 @@ def search_local_map(
         if np.isnan(level):
             continue
         m.pt_visible[p] += observing
-        i, bits, _ = nearest(
+        i, bits = nearest(
             view, xy, octave, descriptors, cell_start, np.int64(0), u, v, radius * view.scale[int(level)],
             np.floor(level), np.ceil(level), m.pt_descriptor[p],
         )  # fmt: skip
@@ -138,7 +138,7 @@ def search_keyframe(m, view, keyframe, candidates, radius):
         u, v, level = expected_at(m, view, T, p)
         if np.isnan(level):
             continue
-        i, bits, _ = nearest(
+        i, bits = nearest(
             view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[keyframe], first, u, v,
             radius * view.scale[int(level)], np.floor(level), np.ceil(level), m.pt_descriptor[p],
         )  # fmt: skip
