@@ -189,3 +189,23 @@ def test_keypoints_of_a_new_map_are_as_noisy_as_those_of_the_last_one():
     assert second.noise2 == pytest.approx(0.3)
     second.noise.note(0.9)
     assert second.noise2 == pytest.approx(0.5) and first.noise2 == pytest.approx(0.3)
+
+
+def test_a_point_is_redundant_if_others_know_three_times_as_much_of_it():
+    """On the same or a finer level each counts 1, on a coarser one nothing, or by its information."""
+    m = random_map(np.random.default_rng(12), keyframes=8, points=40)
+    a, found = m.arrays, set()
+    for k in range(8):
+        own = np.flatnonzero(m.observed_points(k) >= 0) + m.keypoints(k).start
+        for coarser in (False, True):
+            redundant = []
+            for e in own:
+                others = np.flatnonzero(a.kp_point[: a.kf_start[8]] == a.kp_point[e])
+                others = others[others != e]
+                worth = VIEW.inv_sigma2[a.kp_octave[others]] / VIEW.inv_sigma2[a.kp_octave[e]]
+                worth = np.minimum(worth, 1.0) if coarser else (worth >= 1.0)
+                redundant.append(worth.sum() >= 3.0)
+            expected = np.mean(redundant) if len(own) else 0.0
+            assert kernels.redundant_share(a, k, coarser, VIEW) == pytest.approx(expected)
+            found.add((coarser, float(expected)))
+    assert len(found) > 6
