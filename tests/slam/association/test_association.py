@@ -8,8 +8,10 @@ from dslab.slam.association._kernels import associate, density_of
 from dslab.slam.association._mapping_kernels import fuse_points, points_along_rays
 from dslab.slam.association.descriptors import odds_by_distance
 from dslab.slam.core.frame import Features, Frame, FrameFeatures
-from dslab.slam.map._map_kernels import erase_observation, remove_point
+from dslab.slam.map._map_kernels import add_observation, erase_observation, observed_in, remove_point
 from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.mapping.rules import map_rules
 from dslab.slam.optimization._se3 import retract
 from dslab.slam.optimization.student import TAILS
 
@@ -140,3 +142,25 @@ def test_a_view_speaks_for_its_place_and_against_another_one():
     for sighting, speaks in ((at_its_place, True), (elsewhere, False)):
         *_, evidence = found_in(m, sighting.frame, walk(6), 1e-6 * np.eye(6))
         assert (evidence > 20) if speaks else (evidence < 0)
+
+
+def test_points_of_a_keyframe_are_sought_where_they_should_show_and_are_not_observed():
+    rng, world = np.random.default_rng(11), PointWorld(seed=12)
+    _, m, _ = of_keyframes(world, rng, (0, 3, 6, 9))
+    by_all = [int(p) for p in m.points() if m.arrays.pt_observations[p] == 4]
+    for p in set(m.points().tolist()) - set(by_all):
+        remove_point(m.arrays, int(p))
+    rules = map_rules(m, LocalMappingConfig(association="derived"))
+    assert rules.targets(3) == []
+
+    for k, missing in ((0, 20), (1, 30), (2, 15)):
+        for p in by_all[:missing]:
+            erased = int(observed_in(m.arrays, p, k))
+            erase_observation(m.arrays, erased, 1)
+    assert rules.targets(3) == [1, 0, 2]
+    assert map_rules(m, LocalMappingConfig(association="derived", neighbours=2)).targets(3) == [1, 0]
+    add_observation(m.arrays, erased, by_all[14])
+    assert rules.targets(3) == [1, 0]  # 15 points make a neighbour
+
+    m.arrays.kf_T_cam_map[1] = rigid((0, 0, 0), (0, 180, 0)) @ m.arrays.kf_T_cam_map[1]
+    assert rules.targets(3) == [0]  # what should not show is not missed
