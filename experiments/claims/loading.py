@@ -6,7 +6,7 @@ from pydantic import ValidationError
 
 from dslab.experiments.campaign.folder import SPEC_FILE
 from dslab.experiments.claims.kinds import KINDS
-from dslab.experiments.claims.spec import ClaimSpec
+from dslab.experiments.claims.spec import MEASURED, ClaimSpec
 from dslab.experiments.eq1.spec import distribution_faults, mixtures
 from dslab.scenarios.errors import InputError, collect
 from dslab.scenarios.families import in_order_of_lines
@@ -37,7 +37,7 @@ def load_claim(name_or_path: str | Path) -> ClaimSpec:
     """Load a spec by the name of a preset, or from a YAML file or the folder of an experiment.
 
     The first world of every condition is drawn, so that an invalid scenario is found before the run; not for
-    a folder, whose rows can be read where the code at hand refuses its conditions.
+    a folder, whose rows can be read where the code at hand refuses its conditions or settings.
 
     Raises:
         InputError: it does not exist, or is no valid YAML or spec.
@@ -47,7 +47,7 @@ def load_claim(name_or_path: str | Path) -> ClaimSpec:
         path = PRESET_DIR / f"{name_or_path}.yaml"
     if is_folder(path):
         file = _read(path / SPEC_FILE)
-        return _validated(file)
+        return _validated(file, MEASURED)
     file = _read(path)
     spec = _validated(file)
     faults = list(mixtures(spec, file))
@@ -64,14 +64,14 @@ def _read(path: Path) -> YamlFile:
     return read_yaml(path, "experiment", f"a copy of a preset in {PRESET_DIR}")
 
 
-def _validated(file: YamlFile) -> ClaimSpec:
+def _validated(file: YamlFile, context: str | None = None) -> ClaimSpec:
     name = file.data.get("kind")
     if name not in KINDS:
         remedy = f"use {guess(str(name), [*KINDS])}one of {', '.join(KINDS)}"
         raise InputError(file.where(("kind",)), f"unknown kind {name!r}", remedy)
     model = KINDS[name].spec
     try:
-        spec = model.model_validate(file.data)
+        spec = model.model_validate(file.data, context=context)
     except ValidationError as error:
         raise all_faults(error, file.where, root=model) from None
     collect(distribution_faults(file), None)

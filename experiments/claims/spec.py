@@ -39,6 +39,8 @@ def _with_points(systems: tuple[str, ...]) -> tuple[str, ...]:
 SystemsWithPoints = Annotated[tuple[str, ...], AfterValidator(_with_points)]
 """Systems of ours that have points in a map, as a field of a spec."""
 SYSTEMS_WITH_POINTS = Field(("base",), min_length=1, description="of ours, with points in a map")
+MEASURED = "measured"
+"""Context in which the spec of a folder is validated: its rows are there, whatever the code at hand knows."""
 _NAME = r"^[a-z0-9][a-z0-9_-]*$"
 _SEED_END = 2**53  # exact in JSON and in every table
 

@@ -231,3 +231,11 @@ def test_no_variant_is_always_the_first_of_its_unit(tmp_path, monkeypatch):
         assert [row["variant"] for row in VARIANTS.measure(spec, unit)] == unit["variants"]
         firsts.add(ran[start])
     assert len(firsts) == 3
+
+
+def test_a_folder_is_read_whose_settings_are_gone(tmp_path):
+    """Its rows were measured by code that had them; what is run now is told."""
+    (tmp_path / "spec.yaml").write_text(SPEC.replace("initial_features: 2", "initial_feature: 2", 1))
+    less = next(variant for variant in load_claim(tmp_path).variants if variant.name == "less")
+    with pytest.raises(InputError, match=r"variant less: settings\.initial_feature: unknown key"):
+        _ = less.written
