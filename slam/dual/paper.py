@@ -40,8 +40,6 @@ SAID: dict[str, str] = {
     "THREAD.fusion.place": "III-C: none",
     "THREAD.doubt": "III-B: none",
     "ORB.min_share": "Algorithm 1: none",
-    "SIFT.keyframe_too": "Algorithm 1, line 17: the neighbouring frame",
-    "SIFT.ahead": "Algorithm 1: none",
     "SIFT.contrast": "Lowe's threshold of keypoints",
     "SIFT.ratio": "Lowe's ratio of matches",
 }

@@ -134,8 +134,7 @@ class DirectTracker(TrackTracker):
         """
         pyramid = self._pyramid(frame)
         outcome = self._place(frame, pyramid, self.latest)
-        again = self._direct_config.keyframe_too and self.keyframe_view is not self.latest
-        if not outcome.success and again:
+        if not outcome.success and self.keyframe_view is not self.latest:
             outcome = self._place(frame, pyramid, self.keyframe_view)
         return outcome
 

@@ -36,7 +36,5 @@ def paper_sift_config() -> SiftRecoveryConfig:
         at_once=True,
         fusion=_FUSION,
         doubt=_NO_DOUBT,
-        keyframe_too=False,
-        ahead=0,
         contrast=0.04,
     )

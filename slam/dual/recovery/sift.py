@@ -4,8 +4,6 @@ It has no motion model: a frame gets its pose from SIFT matches alone, however f
 the last placed frame, as long as the views overlap. The map grows with ORB features on these poses.
 """
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from dslab.slam.core.frame import Frame
@@ -15,8 +13,6 @@ from dslab.slam.dual.recovery.propagation import propagate
 from dslab.slam.dual.recovery.tracks import TrackRecoveryConfig, TrackTracker
 from dslab.slam.features.sift import SiftFrame, match, sift_frame
 from dslab.slam.features.sift_detector import SiftDetector
-from dslab.slam.features.tracks import rays, triangulate_pairs
-from dslab.slam.optimization.pose import CHI2_2DOF
 from dslab.slam.tracking.pnp import ransac_pnp
 from dslab.slam.tracking.tracker import TrackingOutcome
 
@@ -29,7 +25,6 @@ class SiftRecoveryConfig(TrackRecoveryConfig):
     contrast: float = setting(0.005, "least contrast of a keypoint; OpenCV's usual value is .04")
     octaves: int = setting(4, "most octaves in which keypoints are sought", ge=1)
     most_pixels: int = setting(500_000, "a larger image is reduced to this size", unit="pixels")
-    ahead: int = setting(3, "later keyframes that triangulate features of the new map's first frame")
     ratio: float = setting(0.8, "best over second best descriptor distance of a SIFT match", le=1)
     ransac_iterations: int = setting(300, "most samples of the pose RANSAC")
     ransac_error_px: float = setting(3.0, "largest error of an inlier of the pose RANSAC")
@@ -68,44 +63,14 @@ class SiftTracker(TrackTracker):
         self._task = task
         self._detector = detector(config)
         super().__init__(task, config, self._detect(task.first))
-        for keyframe in self._keyframes_ahead():
-            self._triangulate_with(keyframe)
 
     def track(self, frame: Frame) -> TrackingOutcome:
-        """Place the frame by SIFT matches with the last placed frame or the last keyframe.
+        """Place the frame by SIFT matches with the last placed frame.
 
         Args:
             frame: features only; pose, matches and reference keyframe are filled in.
         """
-        sift = self._detect(frame)
-        outcome = self._place(sift, self.latest)
-        again = self._sift_config.keyframe_too and self.keyframe_view is not self.latest
-        if not outcome.success and again:
-            outcome = self._place(sift, self.keyframe_view)
-        return outcome
-
-    def _keyframes_ahead(self) -> Iterable[int]:
-        """Later keyframes of the new map, spread over it, the nearest first."""
-        later = [int(k) for k in self.map.keyframes() if k > self.latest.frame.reference_keyframe]
-        at = np.linspace(0, len(later) - 1, min(len(later), self._sift_config.ahead) + 1)[1:]
-        return [later[i] for i in np.unique(np.rint(at).astype(int))] if later else []
-
-    def _triangulate_with(self, keyframe: int) -> None:
-        """Give the first frame's features the positions at which they meet their matches in a keyframe."""
-        config, view, first = self._sift_config, self.map.view, self.latest
-        other = self._detect(Frame(self.map.features(keyframe)))
-        own, theirs = match(first, other, config.ratio).T
-        T = self.pose_of(first.frame)
-        xyz, _ = triangulate_pairs(
-            np.repeat(self.map.T_cam_map(keyframe)[None], len(own), axis=0),
-            rays(other.xy[theirs], view),
-            np.ascontiguousarray(T),
-            rays(first.xy[own], view),
-            CHI2_2DOF / (first.inv_sigma2[own] * view.fx * view.fy),
-            float(np.cos(np.deg2rad(config.min_parallax_deg))),
-        )
-        meet = np.isfinite(xyz[:, 0])
-        first.set_positions(own[meet], xyz[meet], T)
+        return self._place(self._detect(frame), self.latest)
 
     def _detect(self, frame: Frame) -> SiftFrame:
         config = self._sift_config

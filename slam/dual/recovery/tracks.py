@@ -21,7 +21,6 @@ class TrackRecoveryConfig(RecoveryConfig):
     min_points: int = setting(15, "fewest map points that are inliers of a pose")
     min_features: int = setting(20, "fewest features that are inliers of a pose")
     min_features_alone: int = setting(60, "fewest feature inliers with fewer than min_points")
-    keyframe_too: bool = setting(True, "compare a frame that fits no last one with the keyframe")
     young_points: int = setting(50, "points seen three times, below which a map is young")
     min_parallax_deg: float = setting(1.15, "least angle between the rays that triangulate a feature")
     depth_radius_px: float = setting(

@@ -6,13 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from dual_scenes import STEP_M
-from recovery_scenes import BLIND, FADED, blind_scene, faded_scene, same_map
+from recovery_scenes import FADED, faded_scene, same_map
 from slam_scenes import CAMERA, VIEW, make_frame, rigid, toy
 
-from dslab.slam.core.frame import Frame
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.registry import ThreadSpec, build_thread
-from dslab.slam.dual.recovery.sift import SiftRecoveryConfig, SiftTracker, detector
+from dslab.slam.dual.recovery.sift import SiftRecoveryConfig, detector
 from dslab.slam.features import sift, tracks
 from dslab.slam.features.sift import SiftFrame
 from dslab.slam.features.sift_detector import SiftDetector
@@ -75,25 +74,8 @@ def test_the_same_seed_gives_the_same_recovery_bit_by_bit(faded):
 def test_each_image_is_used_once(faded_run):
     result, used = faded_run
     task = faded_scene().task
-    first, m = task.first.features.index, task.new_map
-    later = [m.frame_index(int(k)) for k in m.keyframes() if k > 0]
-    assert [used[0], *used[4:]] == list(range(first, first - result.frames_covered - 1, -1))
-    assert used[1:4] == later[-3:]
-
-
-@pytest.mark.parametrize("keyframe_too", [True, False])
-def test_a_frame_that_does_not_match_the_last_one_is_matched_with_the_last_keyframe(keyframe_too):
-    """A third of the last frame is visible, and the rest of the next one."""
-    images, _, _ = toy(110, 0, STEP_M)
-    task = blind_scene().again()
-    shown = {i: images[i].copy() for i in (BLIND.stop - 1, BLIND.stop - 2)}
-    shown[BLIND.stop - 1][:, 107:] = 120
-    shown[BLIND.stop - 2][:, :120] = 120
-    task = replace(task, image_of=lambda index: shown.get(index, images[index]))
-    features = {f.index: f for f in task.backward}
-    tracker = SiftTracker(task, SiftRecoveryConfig(min_features_alone=20, keyframe_too=keyframe_too))
-    tracked = [tracker.track(Frame(features[index])).success for index in shown]
-    assert tracked == [True, keyframe_too]
+    first = task.first.features.index
+    assert used == list(range(first, first - result.frames_covered - 1, -1))
 
 
 # -- features ------------------------------------------------------------------------------------------------
@@ -184,17 +166,6 @@ def test_a_feature_takes_the_depth_of_a_nearby_map_point():
     np.testing.assert_allclose(seen.xyz_cam[[0, 2]], tracks.rays(xy[[0, 2]], VIEW) * [[4.0], [6.0]])
     assert seen.depth == pytest.approx(5.0)
     np.testing.assert_allclose(seen.positions(np.array([0]), T)[0] @ T[:3, :3].T + T[:3, 3], seen.xyz_cam[0])
-
-
-def test_features_without_a_map_point_near_are_triangulated_with_later_keyframes():
-    """Half of the first frame's features have no map point within 6 px; at an edge its depth is another."""
-    beside, ahead = (
-        SiftTracker(faded_scene().again(), SiftRecoveryConfig(ahead=ahead)).latest for ahead in (0, 3)
-    )
-    assert beside.known.mean() < 0.6 and ahead.known.mean() > 0.8
-    assert ahead.known[beside.known].all()
-    ratio = ahead.xyz_cam[beside.known, 2] / beside.xyz_cam[beside.known, 2]
-    assert 0.92 < np.percentile(ratio, 5) < 0.99 < np.median(ratio) < 1.01 < np.percentile(ratio, 95) < 1.06
 
 
 def test_triangulation_of_pairs_rejects_what_is_inconsistent():
