@@ -14,6 +14,7 @@ from dslab.slam.optimization._block_sums import add_outer_products
 from dslab.slam.optimization._cholesky import factor, solve
 from dslab.slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
 from dslab.slam.optimization._se3 import retract
+from dslab.slam.optimization.least_squares import minimise
 from dslab.slam.optimization.student import loss_at, weight_at
 
 MIN_DEPTH = 1e-6
@@ -192,55 +193,49 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
         The cost before and after.
     """
     n_points, m = points.shape[0], camera.shape[0]
-    U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
-    W, V_inv = np.empty((m, 6, 3)), np.empty((n_points, 3, 3))
-    gradient_c, gradient_p = np.empty((n_free, 6)), np.empty((n_points, 3))
-    S, step_c = np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free)
-    step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
-    first = skyline(start, camera, slot, n_free)
-    trial_T, trial_points = T.copy(), points.copy()
-    initial = robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2)
-    cost = initial
-    damping, growth, fresh = 1e-4, 2.0, False
+    model = (
+        np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3)), np.empty((m, 6, 3)),
+        np.empty((n_free, 6)), np.empty((n_points, 3)),
+    )  # fmt: skip
+    room = (
+        skyline(start, camera, slot, n_free), np.empty((n_points, 3, 3)), np.zeros(n_points, np.bool_),
+        np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free), np.empty((n_points, 3)),
+    )  # fmt: skip
+    observed = start, camera, pixels, weights, intrinsics, huber2
+    initial = robust_cost(T, points, *observed)
     # Reweighting for the robust loss converges slowly: a small gain says less there.
     tolerance = 1e-7 if huber2 == 0.0 else 1e-9
-    for _ in range(iterations):
-        if not fresh:
-            normal_equations(
-                T, points, start, camera, pixels, weights, intrinsics, huber2, slot,
-                U, V, W, gradient_c, gradient_p,
-            )  # fmt: skip
-            fresh = True
-        eliminate_points(
-            U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, step_c
-        )
-        gain, predicted = -1.0, np.inf
-        if factor(S, first):
-            solve(S, first, step_c)
-            back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p)
-            predicted = predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held)
-            for k in range(T.shape[0]):
-                if slot[k] >= 0:
-                    retract(T[k], step_c[6 * slot[k] : 6 * slot[k] + 6], trial_T[k])
-            move_points(points, step_p, T, start, camera, trial_points)
-            trial_cost = robust_cost(
-                trial_T, trial_points, start, camera, pixels, weights, intrinsics, huber2
-            )
-            gain = cost - trial_cost
-        if gain >= 0.0:
-            T[:], points[:] = trial_T, trial_points
-            converged = gain <= tolerance * cost
-            cost -= gain
-            fresh = False
-            if converged:
-                break
-            ratio = min(gain / max(predicted, 1e-300), 2.0)
-            damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-10)
-            growth = 2.0
-        else:
-            # A rise although almost no gain was predicted means that the minimum is reached.
-            if predicted <= 1e-9 * cost:
-                break
-            damping *= growth
-            growth *= 2.0
+    problem = T, points, T.copy(), points.copy(), observed, slot, model, room
+    cost, _ = minimise(_linearise, _propose, _accept, problem, initial, iterations, 1e-4, tolerance)
     return initial, cost
+
+
+@njit(inline="always")
+def _linearise(problem):
+    T, points, _, _, observed, slot, model, _ = problem
+    normal_equations(T, points, *observed, slot, *model)
+
+
+@njit(inline="always")
+def _propose(problem, damping):
+    T, points, trial_T, trial_points, observed, slot, model, room = problem
+    start, camera, _, _, _, _ = observed
+    U, V, W, gradient_c, gradient_p = model
+    first, V_inv, held, S, step_c, step_p = room
+    eliminate_points(*model, start, camera, slot, damping, first, V_inv, held, S, step_c)
+    if not factor(S, first):
+        return np.inf, np.inf
+    solve(S, first, step_c)
+    back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p)
+    predicted = predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held)
+    for k in range(T.shape[0]):
+        if slot[k] >= 0:
+            retract(T[k], step_c[6 * slot[k] : 6 * slot[k] + 6], trial_T[k])
+    move_points(points, step_p, T, start, camera, trial_points)
+    return robust_cost(trial_T, trial_points, *observed), predicted
+
+
+@njit(inline="always")
+def _accept(problem):
+    T, points, trial_T, trial_points, _, _, _, _ = problem
+    T[:], points[:] = trial_T, trial_points

@@ -11,8 +11,9 @@ from numba import njit
 
 from dslab.slam.optimization._ba_kernels import MIN_DEPTH
 from dslab.slam.optimization._cholesky import factor, solve
-from dslab.slam.optimization._schur import back_substitute, eliminate_points, skyline
+from dslab.slam.optimization._schur import back_substitute, eliminate_points, predicted_gain, skyline
 from dslab.slam.optimization._se3 import retract
+from dslab.slam.optimization.least_squares import minimise
 
 _BEHIND_CHI2 = 1e4
 _N = 5  # coefficients
@@ -229,70 +230,91 @@ def adjust(
         (5, 5) of the points' pulls on it; both 0 where there is no solution.
     """
     n_points, m = points.shape[0], camera.shape[0]
-    U, V = np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3))
-    W, V_inv = np.empty((m, 6, 3)), np.zeros((n_points, 3, 3))
-    gradient_c, gradient_p, gradient_k = np.empty((n_free, 6)), np.empty((n_points, 3)), np.empty(_N)
-    D, B_c, B_p = np.empty((_N, _N)), np.empty((n_free, 6, _N)), np.empty((n_points, 3, _N))
-    S, step_c = np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free)
-    step_p, held = np.empty((n_points, 3)), np.zeros(n_points, np.bool_)
-    first = skyline(start, camera, slot, n_free)
-    trial_T, trial_points = T.copy(), points.copy()
-    best = cost(T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2) + k @ prior @ k
-    damping = 1e-6
-    for _ in range(iterations):
-        linearise(
-            T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot,
-            U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
-        )  # fmt: skip
-        D += prior
-        gradient_k += prior @ k
-        eliminate_points(
-            U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, step_c
-        )
-        if not factor(S, first):
-            damping *= 10.0
-            continue
-        information, right, steps = eliminate_lens(
-            S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
-        )
-        if not np.linalg.det(information) > _LEAST_DETERMINANT * np.prod(np.diag(information)):
-            break
-        step_k = np.linalg.solve(information, right)
-        step_c -= steps @ step_k
-        for p in range(n_points):
-            gradient_p[p] += B_p[p] @ step_k
-        back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p)
-        for c in range(T.shape[0]):
-            if slot[c] >= 0:
-                retract(T[c], step_c[6 * slot[c] : 6 * slot[c] + 6], trial_T[c])
-        trial_points[:] = points + step_p
-        trial_k = k + step_k
-        trial = trial_k @ prior @ trial_k
-        trial += cost(
-            trial_T, trial_points, start, camera, pixels, weights, drift, intrinsics, trial_k, huber2
-        )
-        if trial <= best:
-            T[:], points[:] = trial_T, trial_points
-            k[:] = trial_k
-            converged = best - trial <= 1e-5 * best
-            best = trial
-            damping = max(damping / 10.0, 1e-9)
-            if converged:
-                break
-        else:
-            damping *= 100.0
-    linearise(
-        T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot,
-        U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p,
+    model = (
+        np.empty((n_free, 6, 6)), np.empty((n_points, 3, 3)), np.empty((m, 6, 3)), np.empty((n_free, 6)),
+        np.empty((n_points, 3)), np.empty((_N, _N)), np.empty(_N), np.empty((n_free, 6, _N)),
+        np.empty((n_points, 3, _N)),
     )  # fmt: skip
-    eliminate_points(
-        U, V, W, gradient_c, gradient_p, start, camera, slot, 1e-9, first, V_inv, held, S, step_c
-    )
-    if not factor(S, first):
+    room = (
+        skyline(start, camera, slot, n_free), np.zeros((n_points, 3, 3)), np.zeros(n_points, np.bool_),
+        np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free), np.empty((n_points, 3)),
+    )  # fmt: skip
+    observed = start, camera, pixels, weights, drift, intrinsics
+    state, trial = (T, points, k), (T.copy(), points.copy(), k.copy())
+    problem = state, trial, observed, prior, huber2, slot, model, room
+    initial = _cost(state, problem)
+    minimise(_linearise, _propose, _accept, problem, initial, iterations, 1e-6, 1e-5)
+    linearise(T, points, *observed, k, huber2, slot, *model)
+    if not _eliminate(problem, 1e-9):
         return np.zeros((_N, _N)), np.zeros((_N, _N))
+    first, V_inv, held, S, step_c, _ = room
+    _, _, W, _, gradient_p, D, gradient_k, B_c, B_p = model
     information, _, steps = eliminate_lens(
         S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
     )
-    return information, spread_of_scores(
-        T, points, start, camera, pixels, weights, drift, intrinsics, k, huber2, slot, V_inv, held, steps
+    return information, spread_of_scores(T, points, *observed, k, huber2, slot, V_inv, held, steps)
+
+
+@njit(inline="always")
+def _cost(state, problem):
+    """Cost of a state, with that of the prior."""
+    T, points, k = state
+    _, _, observed, prior, huber2, _, _, _ = problem
+    return cost(T, points, *observed, k, huber2) + k @ prior @ k
+
+
+@njit(inline="always")
+def _linearise(problem):
+    (T, points, k), _, observed, prior, huber2, slot, model, _ = problem
+    linearise(T, points, *observed, k, huber2, slot, *model)
+    _, _, _, _, _, D, gradient_k, _, _ = model
+    D += prior
+    gradient_k += prior @ k
+
+
+@njit(inline="always")
+def _eliminate(problem, damping):
+    """Eliminate the points and factor what is left of the poses; False if that is singular."""
+    _, _, observed, _, _, slot, model, room = problem
+    start, camera, _, _, _, _ = observed
+    U, V, W, gradient_c, gradient_p, _, _, _, _ = model
+    first, V_inv, held, S, step_c, _ = room
+    eliminate_points(
+        U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, step_c
     )
+    return factor(S, first)
+
+
+@njit(inline="always")
+def _propose(problem, damping):
+    (T, points, k), trial, observed, _, _, slot, model, room = problem
+    start, camera, _, _, _, _ = observed
+    U, V, W, gradient_c, gradient_p, D, gradient_k, B_c, B_p = model
+    first, V_inv, held, S, step_c, step_p = room
+    if not _eliminate(problem, damping):
+        return np.inf, np.inf
+    information, right, steps = eliminate_lens(
+        S, first, W, V_inv, held, start, camera, slot, D, B_c, B_p, gradient_k, gradient_p, step_c
+    )
+    if not np.linalg.det(information) > _LEAST_DETERMINANT * np.prod(np.diag(information)):
+        return np.inf, 0.0  # no damping helps
+    step_k = np.linalg.solve(information, right)
+    step_c -= steps @ step_k
+    pulled = np.empty_like(gradient_p)
+    for p in range(len(points)):
+        pulled[p] = gradient_p[p] + B_p[p] @ step_k
+    back_substitute(W, pulled, start, camera, slot, V_inv, held, step_c, step_p)
+    predicted = predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held)
+    predicted -= step_k @ gradient_k
+    trial_T, trial_points, trial_k = trial
+    for c in range(T.shape[0]):
+        if slot[c] >= 0:
+            retract(T[c], step_c[6 * slot[c] : 6 * slot[c] + 6], trial_T[c])
+    trial_points[:], trial_k[:] = points + step_p, k + step_k
+    return _cost(trial, problem), predicted
+
+
+@njit(inline="always")
+def _accept(problem):
+    (T, points, k), (trial_T, trial_points, trial_k), _, _, _, _, _, _ = problem
+    T[:], points[:], k[:] = trial_T, trial_points, trial_k

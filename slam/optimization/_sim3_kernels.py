@@ -7,8 +7,9 @@ Names: ``points_1``, ``points_2`` (N, 3) pairs, each in its own camera's frame; 
 import numpy as np
 from numba import njit
 
-from dslab.slam.optimization._cholesky import factor, solve, whole_rows
+from dslab.slam.optimization._cholesky import whole_rows
 from dslab.slam.optimization._se3 import so3_exp
+from dslab.slam.optimization.least_squares import accept_trial, damped_step, is_known, minimise
 
 _MIN_DEPTH = 1e-6
 # Cost of a point behind the camera; see the pose optimisation.
@@ -291,34 +292,22 @@ def refine(
     huber2, fixed_scale, iterations,
 ):  # fmt: skip
     """Refine ``S`` by Levenberg-Marquardt, in place, over the ``active`` (N,) pairs; the final cost."""
-    H, trial_H, damped = np.empty((7, 7)), np.empty((7, 7)), np.empty((7, 7))
-    gradient, trial_gradient, step = np.empty(7), np.empty(7), np.empty(7)
-    trial, rows = S.copy(), whole_rows(np.int64(7))
-    damping = 1e-5
-    cost = linearise(
-        S, points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, active,
-        depth_weight, huber2, fixed_scale, H, gradient,
+    pairs = (
+        points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, active, depth_weight,
+        huber2, fixed_scale,
     )  # fmt: skip
-    for _ in range(iterations):
-        damped[:] = H
-        for i in range(7):
-            damped[i, i] += damping * H[i, i] + 1e-12 * np.trace(H)
-            step[i] = -gradient[i]
-        if not factor(damped, rows):
-            break
-        solve(damped, rows, step)
-        retract_sim3(S, step, trial)
-        trial_cost = linearise(
-            trial, points_1, points_2, pixels_1, pixels_2, weights_1, weights_2, intrinsics, active,
-            depth_weight, huber2, fixed_scale, trial_H, trial_gradient,
-        )  # fmt: skip
-        gain = cost - trial_cost
-        if gain >= 0.0:
-            S[:], H[:], gradient[:] = trial, trial_H, trial_gradient
-            cost = trial_cost
-            damping = max(damping / 5.0, 1e-10)
-            if gain <= 1e-8 * cost:
-                break
-        else:
-            damping *= 5.0
-    return cost
+    H, gradient = np.empty((7, 7)), np.empty(7)
+    cost = linearise(S, *pairs, H, gradient)
+    room = np.empty((7, 7)), whole_rows(np.int64(7)), np.empty(7)
+    problem = S, S.copy(), pairs, H, gradient, np.empty((7, 7)), np.empty(7), *room
+    return minimise(is_known, _propose, accept_trial, problem, cost, iterations, 1e-5, 1e-8)[0]
+
+
+@njit(inline="always")
+def _propose(problem, damping):
+    S, trial, pairs, H, gradient, trial_H, trial_gradient, L, rows, step = problem
+    predicted = damped_step(H, gradient, damping, L, rows, step)
+    if predicted == np.inf:
+        return np.inf, predicted
+    retract_sim3(S, step, trial)
+    return linearise(trial, *pairs, trial_H, trial_gradient), predicted

@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from dslab.slam.optimization._cholesky import factor, solve, whole_rows
+from dslab.slam.optimization._cholesky import whole_rows
 from dslab.slam.optimization._se3 import orthonormalise, retract
+from dslab.slam.optimization.least_squares import accept_trial, damped_step, is_known, minimise
 
 CHI2_2DOF = 5.991
 """95% of the squared errors of a good observation, in units of its variance, lie below this."""
@@ -158,52 +159,22 @@ def refine_pose(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy):
     Returns:
         Final cost: the sum of the (robust) squared errors in units of their variance.
     """
-    gradient = np.empty(6, np.float64)
-    H = np.empty((6, 6), np.float64)
-    trial_gradient = np.empty(6, np.float64)
-    trial_H = np.empty((6, 6), np.float64)
-    damped = np.empty((6, 6), np.float64)
-    step = np.empty(6, np.float64)
-    trial = T.copy()
-    rows = whole_rows(np.int64(6))
-    damping, growth = 1e-5, 2.0
-    cost = linearise(T, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, H, gradient)
-    for _ in range(_ITERATIONS):
-        floor = 1e-12 * (1.0 + np.trace(H))
-        for i in range(6):
-            for j in range(i + 1):
-                damped[i, j] = H[i, j]
-            damped[i, i] += damping * H[i, i] + floor
-            step[i] = -gradient[i]
-        if not factor(damped, rows):
-            break
-        solve(damped, rows, step)
-        predicted = 0.0
-        for i in range(6):
-            predicted += step[i] * (damping * H[i, i] * step[i] - gradient[i])
-        retract(T, step, trial)
-        trial_cost = linearise(
-            trial, points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy, trial_H, trial_gradient
-        )
-        gain = cost - trial_cost
-        if gain >= 0.0:
-            converged = gain <= 1e-7 * cost
-            cost = trial_cost
-            T[:] = trial
-            H[:] = trial_H
-            gradient[:] = trial_gradient
-            if converged:
-                break
-            ratio = min(gain / max(predicted, 1e-300), 2.0)
-            damping = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3), 1e-10)
-            growth = 2.0
-        else:
-            # A rise within rounding means that the minimum is reached, NaN that the step is useless.
-            if predicted <= 1e-9 * cost:
-                break
-            damping *= growth
-            growth *= 2.0
-    return cost
+    observed = points, pixels, inv_sigma2, active, huber2, fx, fy, cx, cy
+    H, gradient = np.empty((6, 6)), np.empty(6)
+    cost = linearise(T, *observed, H, gradient)
+    room = np.empty((6, 6)), whole_rows(np.int64(6)), np.empty(6)
+    problem = T, T.copy(), observed, H, gradient, np.empty((6, 6)), np.empty(6), *room
+    return minimise(is_known, _propose, accept_trial, problem, cost, _ITERATIONS, 1e-5, 1e-7)[0]
+
+
+@njit(inline="always")
+def _propose(problem, damping):
+    T, trial, observed, H, gradient, trial_H, trial_gradient, L, rows, step = problem
+    predicted = damped_step(H, gradient, damping, L, rows, step)
+    if predicted == np.inf:
+        return np.inf, predicted
+    retract(T, step, trial)
+    return linearise(trial, *observed, trial_H, trial_gradient), predicted
 
 
 @njit(cache=True, nogil=True)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.sparse import coo_matrix, identity
 from scipy.sparse.linalg import splu
 
+from dslab.slam.optimization.least_squares import minimise
 from dslab.slam.optimization.sim3_algebra import (
     adjoint_sim3,
     exp_sim3,
@@ -66,40 +67,67 @@ def optimize_pose_graph(
         raise ValueError("a pose graph needs a fixed node")
     if len(edges) and (edges.min() < 0 or edges.max() >= len(S)):
         raise ValueError(f"an edge leads to a node outside 0 to {len(S) - 1}")
-    inverse_measured = invert_sim3(np.asarray(measured, np.float64).reshape(-1, 4, 4))
-    root = np.ones((len(edges), _DIM)) if weight is None else np.sqrt(weight)
-    slot = np.where(fixed, -1, np.cumsum(~fixed) - 1)
-    residuals = _residuals(S, edges, inverse_measured)
-    cost = before = 0.5 * float(((root * residuals) ** 2).sum())
-    damping, accepted = 1e-6, 0
+    graph = _Graph(
+        S,
+        edges,
+        invert_sim3(np.asarray(measured, np.float64).reshape(-1, 4, 4)),
+        np.ones((len(edges), _DIM)) if weight is None else np.sqrt(weight),
+        np.where(fixed, -1, np.cumsum(~fixed) - 1),
+    )
+    before = graph.cost
     if not (~fixed).any() or not len(edges):
-        return PoseGraphResult(S, before, cost, 0)
-    H, gradient = _normal_equations(residuals, edges, inverse_measured, slot, root)
-    for _ in range(iterations):
-        step = splu((H + damping * identity(len(gradient))).tocsc(), permc_spec="MMD_AT_PLUS_A").solve(
-            -gradient
+        return PoseGraphResult(S, before, before, 0)
+    cost, accepted = minimise.py_func(
+        _Graph.linearise, _Graph.propose, _Graph.accept, graph, before, iterations, 1e-6, 1e-9
+    )
+    return PoseGraphResult(graph.S, before, cost, accepted)
+
+
+class _Graph:
+    """A pose graph as a problem of least squares.
+
+    Attributes:
+        S: (K, 4, 4) its state.
+        cost: half the sum of its squared residuals.
+    """
+
+    def __init__(
+        self,
+        S: np.ndarray,
+        edges: np.ndarray,
+        inverse_measured: np.ndarray,
+        root: np.ndarray,
+        slot: np.ndarray,
+    ) -> None:
+        self._edges, self._inverse_measured, self._root, self._slot = edges, inverse_measured, root, slot
+        self._try(S)
+        self.accept()
+
+    def _try(self, S: np.ndarray) -> float:
+        residuals = log_sim3(
+            self._inverse_measured @ S[self._edges[:, 0]] @ invert_sim3(S[self._edges[:, 1]])
         )
-        trial = S.copy()
-        trial[~fixed] = exp_sim3(step.reshape(-1, _DIM)) @ S[~fixed]
-        trial_residuals = _residuals(trial, edges, inverse_measured)
-        trial_cost = 0.5 * float(((root * trial_residuals) ** 2).sum())
-        if not trial_cost < cost:
-            damping *= 10
-            if damping > 1e6:
-                break
-            continue
-        gain, S, residuals, cost = cost - trial_cost, trial, trial_residuals, trial_cost
-        accepted += 1
-        damping = max(damping / 10, 1e-12)
-        if gain <= 1e-9 * cost or cost == 0.0:
-            break
-        H, gradient = _normal_equations(residuals, edges, inverse_measured, slot, root)
-    return PoseGraphResult(S, before, cost, accepted)
+        self._trial = S, residuals, 0.5 * float(((self._root * residuals) ** 2).sum())
+        return self._trial[-1]
 
+    def accept(self) -> None:
+        """Make the trial state the state."""
+        self.S, self._residuals, self.cost = self._trial
 
-def _residuals(S: np.ndarray, edges: np.ndarray, inverse_measured: np.ndarray) -> np.ndarray:
-    """(E, 7) residuals of the edges."""
-    return log_sim3(inverse_measured @ S[edges[:, 0]] @ invert_sim3(S[edges[:, 1]]))
+    def linearise(self) -> None:
+        """Compute the model about the state."""
+        self._H, self._gradient = _normal_equations(
+            self._residuals, self._edges, self._inverse_measured, self._slot, self._root
+        )
+
+    def propose(self, damping: float) -> tuple[float, float]:
+        """Try a step: its cost, and the gain that the model predicts."""
+        H, gradient = self._H, self._gradient
+        damped = H + damping * identity(len(gradient))
+        step = splu(damped.tocsc(), permc_spec="MMD_AT_PLUS_A").solve(-gradient)
+        S, free = self.S.copy(), self._slot >= 0
+        S[free] = exp_sim3(step.reshape(-1, _DIM)) @ S[free]
+        return self._try(S), 0.5 * float(step @ (damping * step - gradient))
 
 
 def _normal_equations(
