@@ -140,7 +140,6 @@ STAYS_IN_CODE: tuple[str, ...] = (
     "mapping ends what it has begun when keyframes wait, in place of breaking off bundle adjustment (V-E)",
     "in lockstep mapping takes no time and is always idle, so that keyframes may come frame by frame (V-E)",
     "relocalization takes poses from three points, in place of EPnP (V-C)",
-    "the database discounts keyframes of many words (V-C, VII-A)",
 )
 """What stays different by code that no setting reaches."""
 

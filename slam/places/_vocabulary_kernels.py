@@ -155,34 +155,28 @@ def look_up(inverted, n_keyframes, words, weights):
 
 
 @njit(cache=True, nogil=True)
-def score_groups(eligible, score, covisibility, group_size):
-    """Score candidates together with their covisible keyframes.
+def score_groups(possible, score, covisibility, least):
+    """Score candidates together with the keyframes that are connected with them.
 
     Args:
-        eligible: (K,) bool candidates.
+        possible: (K,) bool candidates.
         score: (K,) float64.
-        covisibility: (C, C) int32, C >= K.
-        group_size: number of the most covisible keyframes that form a candidate's group.
+        covisibility: (C, C) int32, C >= K, points that two keyframes share.
+        least: shared points that connect two keyframes.
 
     Returns:
         total (K,) float64 sum of the scores of the group's candidates; best (K,) int32 the group's candidate
-        with the highest score. Zero and -1 for ineligible ones.
+        with the highest score, the first of several. Zero and -1 for keyframes that are no candidates.
     """
-    n = len(eligible)
+    n = len(possible)
     total = np.zeros(n, np.float64)
     best = np.full(n, -1, np.int32)
     for k in range(n):
-        if not eligible[k]:
+        if not possible[k]:
             continue
-        total[k] = score[k]
-        best[k] = k
-        shared = covisibility[k, :n]
-        order = np.argsort(-shared, kind="mergesort")
-        for j in order[:group_size]:
-            if shared[j] == 0:
-                break
-            if eligible[j]:
+        for j in range(n):
+            if possible[j] and (j == k or covisibility[k, j] >= least):
                 total[k] += score[j]
-                if score[j] > score[best[k]]:
+                if best[k] < 0 or score[j] > score[best[k]]:
                     best[k] = j
     return total, best

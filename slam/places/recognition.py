@@ -1,7 +1,7 @@
 """Place recognition: find keyframes that may show the same place as an image.
 
 Source: Galvez-Lopez, Tardos, "Bags of Binary Words for Fast Place Recognition in Image Sequences", 2012;
-candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections V-C and VII-A, and in its public code.
+candidates as in Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, sections III-E, V-C and VII-A.
 """
 
 import json
@@ -14,15 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from dslab.slam.core.snapshot import Immutable
-from dslab.slam.map.map import Map
+from dslab.slam.map.map import MIN_SHARED, Map
 from dslab.slam.places import _vocabulary_kernels as kernels
 from dslab.slam.places._vocabulary_kernels import InvertedFile, Tree
 
 VOCABULARY_FILE = Path(__file__).parent / "data" / "vocabulary.npz"
 
-_COMMON_SHARE = 0.8
 _TOTAL_SHARE = 0.75
-_GROUP_SIZE = 10
+"""Of the best: section III-E."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +178,7 @@ class KeyframeDatabase:
         """Keyframes that may show the same place as an image, best first."""
         self.update()
         common, score = self.query(bow)
-        return self._best_groups(common, score, common > 0)
+        return self._best_groups(score, common > 0)
 
     def loop_candidates(self, keyframe: int) -> list[int]:
         """Keyframes, not neighbours, that may show the same place as this one, best first.
@@ -195,27 +194,15 @@ class KeyframeDatabase:
         elsewhere = common > 0
         elsewhere[neighbours] = False
         elsewhere[keyframe] = False
-        common[~elsewhere] = 0
-        return self._best_groups(common, score, elsewhere & (score >= score[neighbours].min()))
+        return self._best_groups(score, elsewhere & (score >= score[neighbours].min()))
 
-    def _best_groups(self, common: np.ndarray, score: np.ndarray, possible: np.ndarray) -> list[int]:
-        """Best keyframe of each group of covisible keyframes with a high total score."""
-        likeness = common * self._discount
-        eligible = possible & (likeness > _COMMON_SHARE * likeness.max(initial=0.0))
-        total, best = kernels.score_groups(eligible, score, self.map.arrays.covisibility, _GROUP_SIZE)
-        good = np.flatnonzero(eligible & (total > _TOTAL_SHARE * total.max(initial=0.0)))
+    def _best_groups(self, score: np.ndarray, possible: np.ndarray) -> list[int]:
+        """Best keyframe of each group of connected keyframes whose scores add up to nearly the most."""
+        shared = self.map.arrays.covisibility
+        total, best = kernels.score_groups(possible, score, shared, np.int64(MIN_SHARED))
+        good = np.flatnonzero(total > _TOTAL_SHARE * total.max(initial=0.0))
         good = good[np.argsort(-total[good], kind="stable")]
         return list(dict.fromkeys(best[good].tolist()))
-
-    @property
-    def _discount(self) -> np.ndarray:
-        """(n,) factor that discounts keyframes with many words, which share more words with any image.
-
-        The first two keyframes of a map have many features and would otherwise suppress all others.
-        """
-        words = np.array([len(bow.words) for bow in self._bows])
-        usual = np.median(words[words > 0]) if words.any() else 1.0
-        return np.minimum(1.0, usual / np.maximum(words, 1))
 
     def _reserve(self, entries: int) -> None:
         """Reserve room for ``entries`` more entries."""

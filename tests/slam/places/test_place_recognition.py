@@ -114,14 +114,12 @@ def test_an_absorbed_map_is_found_in_the_absorbing_one(places):
 # -- candidates ----------------------------------------------------------------------------------------------
 
 
-def slow_groups(m, common, score, possible):
-    eligible = [k for k in range(len(score)) if possible[k] and common[k] > 0.8 * common.max()]
+def slow_groups(m, score, possible):
+    eligible = np.flatnonzero(possible).tolist()
     groups = {}
     for k in eligible:
-        about = [int(j) for j in m.neighbours(k, 10, min_shared=1) if j in eligible]
-        members = [k, *about]
-        best = max(members, key=lambda j: (score[j], -members.index(j)))
-        groups[k] = sum(score[j] for j in members), best
+        members = sorted({k, *m.neighbours(k, m.n_keyframes).tolist()} & set(eligible))
+        groups[k] = sum(score[j] for j in members), max(members, key=lambda j: (score[j], -j))
     most = max((total for total, _ in groups.values()), default=0)
     order = sorted((k for k in groups if groups[k][0] > 0.75 * most), key=lambda k: (-groups[k][0], k))
     return list(dict.fromkeys(groups[k][1] for k in order))
@@ -131,7 +129,7 @@ def test_relocalization_candidates_agree_with_numpy(places, database):
     for sighting in places[3]:
         bow = bow_of(places, sighting)
         common, score = database.query(bow)
-        slow = slow_groups(database.map, common, score, common > 0)
+        slow = slow_groups(database.map, score, common > 0)
         assert database.relocalization_candidates(bow) == slow
 
 
