@@ -51,7 +51,7 @@ class DerivedSearch(Search):
         keyframes, points = local_map(tracking.map, frame.point, tracking.config.local_map_keyframes)
         if not len(keyframes):
             return -1
-        _match(tracking, frame, points, frame.covariance, tracking.observing)
+        _match(tracking, frame, points, frame.covariance, frame.noise2, tracking.observing)
         return int(keyframes[0])
 
     def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
@@ -72,14 +72,14 @@ class DerivedSearch(Search):
         known = last.point[last.point >= 0]
         if not len(known):
             return False
-        if steps > 1:
+        if steps > 1 or len(known) < _FIRST:
             _, known = local_map(m, last.point, tracking.config.local_map_keyframes)
         else:
             known = np.ascontiguousarray(known[:: max(len(known) // _FIRST, 1)])
         spread = tracking.motion.predicted(last.covariance, steps, _depth(m, known, start))
         for wider in _WIDER:
             frame.T_cam_map = start.copy()
-            _match(tracking, frame, known, wider * spread, False)
+            _match(tracking, frame, known, wider * spread, m.noise2, False)
             if _right(tracking, frame, np.linalg.inv(wider * spread)) >= _LEAST_RIGHT:
                 return True
         return False
@@ -128,7 +128,7 @@ class DerivedLoss(Loss):
         m = tracking.map
         k = m.live(last.reference_keyframe)
         points = points_of(m, [k, *map(int, m.neighbours(k, _AROUND))])
-        _, _, evidence = _associated(tracking, frame, points, frame.covariance, False)
+        _, _, evidence = _associated(tracking, frame, points, frame.covariance, frame.noise2, False)
         return "view_disagrees" if evidence < _BEHIND_A_GAP else ""
 
 
@@ -166,22 +166,32 @@ def _largest(pose: RelativePose, depth: float) -> float:
 
 
 def _match(
-    tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
+    tracking: Tracking,
+    frame: Frame,
+    points: np.ndarray,
+    covariance: np.ndarray,
+    noise2: float,
+    observing: bool,
 ) -> None:
     """Take the matches of a frame with some points about its pose, and what they say of it."""
     frame.sought = frame.T_cam_map.copy(), covariance.copy()
-    found = _associated(tracking, frame, points, covariance, observing)
+    found = _associated(tracking, frame, points, covariance, noise2, observing)
     frame.point, frame.area, frame.evidence = found
 
 
 def _associated(
-    tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
+    tracking: Tracking,
+    frame: Frame,
+    points: np.ndarray,
+    covariance: np.ndarray,
+    noise2: float,
+    observing: bool,
 ) -> tuple[np.ndarray, np.ndarray, float]:
     m, f = tracking.map, frame.features
     view = m.view
     image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
     return associate(
-        m.arrays, view, frame.T_cam_map, covariance, m.noise2, points, f.xy, f.octave, f.descriptors,
+        m.arrays, view, frame.T_cam_map, covariance, noise2, points, f.xy, f.octave, f.descriptors,
         f.cell_start, density_of(f.octave, len(view.scale), image), odds_by_distance(),
         _LIKELIER_THAN_NOT, observing,
     )  # fmt: skip

@@ -137,6 +137,30 @@ def test_the_covariance_of_a_point_is_that_of_its_rays_and_turns_and_grows_with_
     assert a.pt_covariance[p] == pytest.approx((4 * R @ full @ R.T)[row, column])
 
 
+def test_a_smeared_frame_keeps_the_matches_that_sharp_windows_would_cut_off(world, sightings):
+    """The points that are matched first tell its noise; by that the others are sought."""
+    tracker, _ = started(world, sightings)
+    for sighting in sightings[1:11]:
+        assert tracker.track(sighting.again()).success
+    smeared = world.see(11, walk(11), np.random.default_rng(6), noise_px=2.1, bits=8)
+    frame = smeared.again()
+    expected = tracker.track(sightings[11].again()).inliers
+    tracker, _ = started(world, sightings, at=10)
+    tracker.map.noise.variance, tracker.map.noise.frames = 0.49, 20
+    assert tracker.track(frame).inliers > 0.85 * expected
+    assert np.sqrt(frame.noise2) == pytest.approx(2.1, abs=0.3)
+
+
+def test_where_the_last_frame_had_few_points_those_around_find_the_next(world, sightings):
+    tracker, _ = started(world, sightings)
+    last = tracker.last
+    kept = np.flatnonzero(last.point >= 0)[:8]
+    few = np.full_like(last.point, -1)
+    few[kept] = last.point[kept]
+    last.point[:] = few
+    assert tracker.track(sightings[1].again()).inliers > 100
+
+
 @pytest.mark.parametrize("name", ["search", "gate", "loss", "keyframe"])
 def test_a_derived_rule_without_the_others_is_refused(name):
     with pytest.raises(ValueError, match="all four or none"):
