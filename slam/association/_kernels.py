@@ -31,7 +31,7 @@ CELLS = 8
 """To a row of the image: the points of a cell are of one surface."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def density_of(octave, levels, area):
     """(levels,) keypoints per px² of every octave, of an image of so many px²; at least one in it."""
     count = np.ones(levels)
@@ -40,7 +40,7 @@ def density_of(octave, levels, area):
     return count / area
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def spread_of_pixel(view, T, xyz, point_covariance, noise2, pose_covariance, J):
     """Where a point is expected, and the covariance of that: (u, v, z, uu, uv, vv); z <= 0 behind the camera.
 
@@ -75,7 +75,7 @@ def spread_of_pixel(view, T, xyz, point_covariance, noise2, pose_covariance, J):
     return u, v, z, uu, uv, vv
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def camera_at(T):
     """(3,) centre of a camera of a pose (4, 4)."""
     centre = np.zeros(3)
@@ -85,7 +85,7 @@ def camera_at(T):
     return centre
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def expected_view(view, T, centre, xyz, normal, max_distance):
     """Where a view should show a point, and on which level: (u, v, octave); the octave NaN if it should not.
 
@@ -109,19 +109,19 @@ def expected_view(view, T, centre, xyz, normal, max_distance):
     return u, v, octave
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def detection(found, visible):
     """Chance that a point is detected where it is, by how often it was; before that four of five are."""
     return min((found + 4.0) / (visible + 5.0), 0.99)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def of_octave(apart):
     """Density of an octave about the one that is expected."""
     return 0.3989 / OCTAVE_SPREAD * np.exp(-0.5 * (apart / OCTAVE_SPREAD) ** 2)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def likeliest(
     view, xy, octave, descriptors, cell_start, first, u, v, uu, uv, vv, noise2, level, density, detected,
     query, odds,
@@ -178,7 +178,7 @@ def likeliest(
     return found, best / total, found_area, total - (1.0 - detected)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def associate(
     m, view, T_cam_map, pose_covariance, noise2, candidates, xy, octave, descriptors, cell_start, density,
     odds, least, observing,
@@ -239,7 +239,7 @@ def associate(
     return point, area, _evidence(told + np.log(product), count)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _evidence(told, count):
     """Log of the odds of a view, from those of the points in its cells (cells, rates) at every rate.
 

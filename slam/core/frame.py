@@ -49,6 +49,7 @@ class FrameFeatures(Immutable):
         camera: by which ``xy`` are undistorted.
         twist: (6,) how the scene moves past the camera, by which ``xy`` are those of the middle row's time,
             see :meth:`slam.core.camera.PinholeCamera.ideal_points`.
+        noise2: variance of the keypoints over what the view says, NaN where the frame has not told it.
     """
 
     index: int
@@ -61,6 +62,7 @@ class FrameFeatures(Immutable):
     cell_start: np.ndarray
     camera: PinholeCamera
     twist: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    noise2: float = np.nan
 
     def __len__(self) -> int:
         return len(self.octave)
@@ -149,7 +151,7 @@ class Frame:
         reference_keyframe: the keyframe that shares most map points, -1 while unknown.
         T_cam_reference: (4, 4) pose relative to that keyframe, NaN while unknown.
         noise: standard deviation of its matched keypoints over the usual one, at least 1.
-        noise2: variance of them over what the view says.
+        noise2: variance of them over what the view says, NaN while unknown.
         covariance: (6, 6) of the pose from the points, as a twist from the left; infinite where it is not
             determined.
         relative: the pose relative to the reference keyframe with its covariance, None where not told.
@@ -165,7 +167,7 @@ class Frame:
     reference_keyframe: int = -1
     T_cam_reference: np.ndarray = field(default_factory=lambda: np.full((4, 4), np.nan))
     noise: float = 1.0
-    noise2: float = 1.0
+    noise2: float = np.nan
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     drawn: float = 0.0
     evidence: float = 0.0

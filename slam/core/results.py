@@ -1,5 +1,6 @@
 """Results of a system: the outcome of a frame, and the trajectory of a map."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -34,9 +35,21 @@ class RelativePose:
 
 
 def _largest_sd(covariance: np.ndarray) -> float:
-    if not np.isfinite(covariance).all():
-        return np.inf
-    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    """Root of the largest eigenvalue of a symmetric (3, 3).
+
+    Source: Smith, "Eigenvalues of a symmetric 3 × 3 matrix", Communications of the ACM 4(4), 1961.
+    """
+    (xx, _, _), (xy, yy, _), (xz, yz, zz) = covariance.tolist()
+    if not math.isfinite(xx + yy + zz + xy + xz + yz):
+        return math.inf
+    mean = (xx + yy + zz) / 3.0
+    a, b, c = xx - mean, yy - mean, zz - mean
+    spread = math.sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0)
+    if spread == 0.0:
+        return math.sqrt(max(mean, 0.0))
+    det = a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)
+    angle = math.acos(min(max(0.5 * det / spread**3, -1.0), 1.0)) / 3.0
+    return math.sqrt(max(mean + 2.0 * spread * math.cos(angle), 0.0))
 
 
 @dataclass(frozen=True)

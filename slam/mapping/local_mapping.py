@@ -97,6 +97,8 @@ class LocalMapper:
                 a, m.n_keyframes, m.n_points, free, self.config.fixed
             )
             T_cam_map, xyz = a.kf_T_cam_map[cameras], a.pt_xyz[points]
+            noise2 = np.array([m.features(int(k)).noise2 for k in cameras])
+        noise2[np.isnan(noise2)] = m.noise2
         fixed = ~free[cameras]
         if not fixed.any():
             fixed[0] = True
@@ -106,7 +108,7 @@ class LocalMapper:
         steps = _ITERATIONS if rules.converges else self.config.robust_iterations
         result, good = rules.adjust(
             T_cam_map, fixed, xyz, obs_camera, obs_point,
-            a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]] / m.noise2,
+            a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]] / noise2[obs_camera],
             view.fx, view.fy, view.cx, view.cy, steps,
         )  # fmt: skip
         with self.lock:

@@ -15,20 +15,20 @@ CHI2_99 = (TAILS - 2.0) * (0.01 ** (-2.0 / TAILS) - 1.0)
 """In the image one of a hundred is beyond: P(more) = (1 + it / (ν - 2))^(-ν / 2), by integration."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def density_at(chi2, det):
     """Density, 1/px², of an error in the image with a covariance of determinant ``det``."""
     tail = 1.0 + chi2 / (TAILS - 2.0)
     return TAILS / (TAILS - 2.0) / (tail * tail * tail * 2.0 * np.pi * np.sqrt(det))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def weight_at(chi2):
     """Weight of an error in least squares, by expectation maximisation over its own scale."""
     return (TAILS + 2.0) / (TAILS - 2.0 + chi2)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def loss_at(chi2):
     """Minus twice the logarithm of the density, from 0; its derivative is the weight."""
     return (TAILS + 2.0) * np.log1p(chi2 / (TAILS - 2.0))

@@ -29,7 +29,7 @@ CELLS = 8
 _RIGHT, _WRONG = 8.0, 2.0
 """What is believed of the share of right matches before any is seen: as of ten."""
 _ANNEALED, _STEPS = 5, 12
-_SETTLED = 1e-3
+_SETTLED = 1e-2
 """In standard deviations: a step less than that ends the search."""
 
 
@@ -93,7 +93,7 @@ def uncertain_pose(
     return UncertainPose(T, *found)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _estimate(
     T, points, point_covariance, pixels, inv_sigma2, area, usual2, spread_px2, prior, intrinsics, cell_px
 ):
@@ -151,7 +151,7 @@ def _estimate(
     return right, noise2, covariance, drawn
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(
     T, points, point_covariance, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
     gradient,
@@ -184,7 +184,7 @@ def _accumulate(
     return (total + _RIGHT) / (n + _RIGHT + _WRONG), told2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _judged(T, xyz, point_covariance, pixel, area, noise2, own, share, intrinsics, J, e):
     """Probability of a match to be right, 0 behind the camera, where ``share`` of all are; J, e are written.
 
@@ -202,7 +202,7 @@ def _judged(T, xyz, point_covariance, pixel, area, noise2, own, share, intrinsic
     return likely / (likely + (1.0 - share) / area), chi2, x, y, a, b, c
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e):
     """Write error (2,) and Jacobian (2, 6) of a match; its covariance (uu, uv, vv), 0 behind the camera."""
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
@@ -221,7 +221,7 @@ def _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e):
     return noise2 * uu + own, noise2 * uv, noise2 * vv + own
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def of_point(T, x, y, fu, fv, p):
     """Covariance (uu, uv, vv) in the image of a point's (6,), seen at (x, y) for unit depth; fu is fx / z."""
     a0, a1, a2 = fu * (T[0, 0] - x * T[2, 0]), fu * (T[0, 1] - x * T[2, 1]), fu * (T[0, 2] - x * T[2, 2])
@@ -235,7 +235,7 @@ def of_point(T, x, y, fu, fv, p):
     return a0 * c0 + a1 * c1 + a2 * c2, b0 * c0 + b1 * c1 + b2 * c2, b0 * d0 + b1 * d1 + b2 * d2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add(J, x, y, a, b, c, pull, worth, H, gradient):
     """Add a match to the normal equations: its gradient ``pull`` times, its information ``worth`` times.
 
@@ -255,7 +255,7 @@ def _add(J, x, y, a, b, c, pull, worth, H, gradient):
             H[r, k] += u * J[0, k] + v * J[1, k]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _certainty(
     T, points, point_covariance, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior
 ):

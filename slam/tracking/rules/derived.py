@@ -4,6 +4,8 @@ Where a point is sought, whether a keypoint shows it, at which noise, and whethe
 one model. docs/notebook/base-decides.md has the formulas and what was measured.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from dslab.slam.association._kernels import associate, density_of
@@ -51,7 +53,7 @@ class DerivedSearch(Search):
         keyframes, points = local_map(tracking.map, frame.point, tracking.config.local_map_keyframes)
         if not len(keyframes):
             return -1
-        _match(tracking, frame, points, frame.covariance, frame.noise2, tracking.observing)
+        _match(tracking, frame, points, frame.covariance, tracking.observing)
         return int(keyframes[0])
 
     def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
@@ -60,6 +62,7 @@ class DerivedSearch(Search):
         if tracking.velocity is not None and (frame.point >= 0).any():
             tracking.motion.note(tracking.velocity @ last.T_cam_map, frame.T_cam_map, median_depth(frame, m))
         tracking.sharpest = min(tracking.sharpest, variance(tracking, frame))
+        frame.features = replace(frame.features, noise2=frame.noise2)
         if tracking.observing:
             m.noise.note(frame.noise2)
 
@@ -78,8 +81,8 @@ class DerivedSearch(Search):
             known = np.ascontiguousarray(known[:: max(len(known) // _FIRST, 1)])
         spread = tracking.motion.predicted(last.covariance, steps, _depth(m, known, start))
         for wider in _WIDER:
-            frame.T_cam_map = start.copy()
-            _match(tracking, frame, known, wider * spread, m.noise2, False)
+            frame.T_cam_map, frame.noise2 = start.copy(), m.noise2
+            _match(tracking, frame, known, wider * spread, False)
             if _right(tracking, frame, np.linalg.inv(wider * spread)) >= _LEAST_RIGHT:
                 return True
         return False
@@ -128,7 +131,7 @@ class DerivedLoss(Loss):
         m = tracking.map
         k = m.live(last.reference_keyframe)
         points = points_of(m, [k, *map(int, m.neighbours(k, _AROUND))])
-        _, _, evidence = _associated(tracking, frame, points, frame.covariance, frame.noise2, False)
+        _, _, evidence = _associated(tracking, frame, points, frame.covariance, False)
         return "view_disagrees" if evidence < _BEHIND_A_GAP else ""
 
 
@@ -166,35 +169,30 @@ def _largest(pose: RelativePose, depth: float) -> float:
 
 
 def _match(
-    tracking: Tracking,
-    frame: Frame,
-    points: np.ndarray,
-    covariance: np.ndarray,
-    noise2: float,
-    observing: bool,
+    tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
 ) -> None:
     """Take the matches of a frame with some points about its pose, and what they say of it."""
     frame.sought = frame.T_cam_map.copy(), covariance.copy()
-    found = _associated(tracking, frame, points, covariance, noise2, observing)
+    found = _associated(tracking, frame, points, covariance, observing)
     frame.point, frame.area, frame.evidence = found
 
 
 def _associated(
-    tracking: Tracking,
-    frame: Frame,
-    points: np.ndarray,
-    covariance: np.ndarray,
-    noise2: float,
-    observing: bool,
+    tracking: Tracking, frame: Frame, points: np.ndarray, covariance: np.ndarray, observing: bool
 ) -> tuple[np.ndarray, np.ndarray, float]:
     m, f = tracking.map, frame.features
     view = m.view
     image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
     return associate(
-        m.arrays, view, frame.T_cam_map, covariance, noise2, points, f.xy, f.octave, f.descriptors,
-        f.cell_start, density_of(f.octave, len(view.scale), image), odds_by_distance(),
+        m.arrays, view, frame.T_cam_map, covariance, _noise2(tracking, frame), points, f.xy, f.octave,
+        f.descriptors, f.cell_start, density_of(f.octave, len(view.scale), image), odds_by_distance(),
         _LIKELIER_THAN_NOT, observing,
     )  # fmt: skip
+
+
+def _noise2(tracking: Tracking, frame: Frame) -> float:
+    """Variance of a frame's keypoints, as far as it has told it; else that of the map's."""
+    return tracking.map.noise2 if np.isnan(frame.noise2) else frame.noise2
 
 
 def _right(tracking: Tracking, frame: Frame, prior: np.ndarray) -> int:
@@ -204,10 +202,12 @@ def _right(tracking: Tracking, frame: Frame, prior: np.ndarray) -> int:
     points, view = frame.point[rows], m.view
     image = (view.x_max - view.x_min) * (view.y_max - view.y_min)
     area = np.where(frame.area[rows] > 0, frame.area[rows], image)
-    spread = float(np.median(area)) / (np.pi * CHI2_99) if len(rows) else 0.0
+    inv_sigma2 = view.inv_sigma2[f.octave[rows]]
+    own = _noise2(tracking, frame) / inv_sigma2
+    spread = float(np.median(np.maximum(area / (np.pi * CHI2_99) - own, 0.0))) if len(rows) else 0.0
     found = uncertain_pose(
         frame.T_cam_map, m.arrays.pt_xyz[points], m.arrays.pt_covariance[points], f.xy[rows],
-        view.inv_sigma2[f.octave[rows]], area, m.noise2, spread, prior, view.intrinsics,
+        inv_sigma2, area, m.noise2, spread, prior, view.intrinsics,
         (view.x_max - view.x_min) / _CELLS,
     )  # fmt: skip
     right = found.right > _LIKELIER_THAN_NOT

@@ -1,5 +1,7 @@
 """Local mapping of a keyframe: new points, fusion of duplicates, bundle adjustment, culling."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from slam_scenes import PointWorld, pose_error, rigid, rms, tracked_in, walk, world_ids
@@ -168,6 +170,31 @@ def test_adjustment_lowers_the_reprojection_error_to_the_noise(world, sightings)
     np.testing.assert_array_equal(m.T_cam_map(0), held)
     for k in range(1, 5):
         assert pose_error(m.T_cam_map(k), sightings[k].T_cam_world)[1] < 0.1
+
+
+def test_a_smeared_keyframe_pulls_less_once_it_has_told_its_noise(world):
+    rng, noise_px = np.random.default_rng(101), [NOISE_PX] * 6
+    noise_px[3] = 4.0
+    views = [world.see(5 * i, walk(5 * i), rng, px, bits=8) for i, px in enumerate(noise_px)]
+    derived = LocalMappingConfig(association="derived")
+    off, kept = [], []
+    for told in (False, True):
+        mapper, _ = start(world, views, keep=0.9, keyframes=6, config=derived)
+        m = mapper.map
+        m.noise.variance = NOISE_PX**2
+        if told:
+            m.take_features(3, replace(m.features(3), noise2=noise_px[3] ** 2))
+        before = (m.observed_points(3) >= 0).sum()
+        mapper.adjust(5)
+        kept.append((m.observed_points(3) >= 0).sum() / before)
+        at, true = (
+            np.array([np.linalg.inv(T)[:3, 3] for T in poses])
+            for poses in ([m.T_cam_map(k) for k in range(6)], [v.T_cam_world for v in views])
+        )
+        s, R, t = horn_sim3(true, at)
+        off.append(np.linalg.norm(s * at @ R.T + t - true, axis=1).mean())
+    assert off[1] < 0.6 * off[0]
+    assert kept[0] < 0.3 and kept[1] > 0.98
 
 
 def test_adjustment_moves_its_window_only(world, sightings):
