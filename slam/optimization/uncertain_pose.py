@@ -99,6 +99,7 @@ def _estimate(
 ):
     start, trial = T.copy(), T.copy()
     right = np.zeros(len(points))
+    spread = _spread_of_points(T, points, point_covariance, intrinsics)
     H, L, rows = np.empty((6, 6)), np.empty((6, 6)), whole_rows(np.int64(6))
     gradient, step = np.empty(6), np.empty(6)
     moved = np.zeros(6)  # from the start, to first order
@@ -112,8 +113,8 @@ def _estimate(
             for c in range(6):
                 gradient[r] += prior[r, c] * moved[c]
         share, told2 = _accumulate(
-            T, points, point_covariance, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics,
-            right, H, gradient,
+            T, points, spread, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
+            gradient,
         )  # fmt: skip
         if extra <= noise2:
             noise2 = told2
@@ -137,7 +138,7 @@ def _estimate(
     covariance, drawn = _certainty(
         T,
         points,
-        point_covariance,
+        spread,
         pixels,
         inv_sigma2,
         area,
@@ -153,7 +154,7 @@ def _estimate(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(
-    T, points, point_covariance, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
+    T, points, spread, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
     gradient,
 ):  # fmt: skip
     """Write the probability of every match to be right, and add all to the normal equations.
@@ -168,7 +169,7 @@ def _accumulate(
     for i in range(n):
         own = noise2 / inv_sigma2[i] + extra
         p, chi2, x, y, a, b, c = _judged(
-            T, points[i], point_covariance[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
+            T, points[i], spread[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
         )
         right[i] = p
         total += p
@@ -185,13 +186,13 @@ def _accumulate(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _judged(T, xyz, point_covariance, pixel, area, noise2, own, share, intrinsics, J, e):
+def _judged(T, xyz, spread, pixel, area, noise2, own, share, intrinsics, J, e):
     """Probability of a match to be right, 0 behind the camera, where ``share`` of all are; J, e are written.
 
     Returns:
         (probability, χ², error times information (x, y), information (uu, uv, vv)).
     """
-    uu, uv, vv = _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e)
+    uu, uv, vv = _linearise(T, xyz, spread, pixel, noise2, own, intrinsics, J, e)
     if uu == 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     det = uu * vv - uv * uv
@@ -203,7 +204,7 @@ def _judged(T, xyz, point_covariance, pixel, area, noise2, own, share, intrinsic
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e):
+def _linearise(T, xyz, spread, pixel, noise2, own, intrinsics, J, e):
     """Write error (2,) and Jacobian (2, 6) of a match; its covariance (uu, uv, vv), 0 behind the camera."""
     fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
     z = T[2, 0] * xyz[0] + T[2, 1] * xyz[1] + T[2, 2] * xyz[2] + T[2, 3]
@@ -217,8 +218,24 @@ def _linearise(T, xyz, point_covariance, pixel, noise2, own, intrinsics, J, e):
     J[0, 3], J[0, 4], J[0, 5] = -fx * x * y, fx * (1.0 + x * x), -fx * y
     J[1, 1], J[1, 2] = fv, -fv * y
     J[1, 3], J[1, 4], J[1, 5] = -fy * (1.0 + y * y), fy * x * y, fy * x
-    uu, uv, vv = of_point(T, x, y, fu, fv, point_covariance)
-    return noise2 * uu + own, noise2 * uv, noise2 * vv + own
+    return noise2 * spread[0] + own, noise2 * spread[1], noise2 * spread[2] + own
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spread_of_points(T, points, point_covariance, intrinsics):
+    """Covariances (N, 3) of the points in the image: uu, uv, vv; 0 behind the camera.
+
+    They are those about the initial pose: a pose that is refined hardly changes them.
+    """
+    spread = np.zeros((len(points), 3))
+    for i in range(len(points)):
+        xyz = points[i]
+        z = T[2, 0] * xyz[0] + T[2, 1] * xyz[1] + T[2, 2] * xyz[2] + T[2, 3]
+        if z > 1e-6:
+            x = (T[0, 0] * xyz[0] + T[0, 1] * xyz[1] + T[0, 2] * xyz[2] + T[0, 3]) / z
+            y = (T[1, 0] * xyz[0] + T[1, 1] * xyz[1] + T[1, 2] * xyz[2] + T[1, 3]) / z
+            spread[i] = of_point(T, x, y, intrinsics[0] / z, intrinsics[1] / z, point_covariance[i])
+    return spread
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -257,7 +274,7 @@ def _add(J, x, y, a, b, c, pull, worth, H, gradient):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _certainty(
-    T, points, point_covariance, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior
+    T, points, spread, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior
 ):
     """Covariance (6, 6) of the pose, and by how much the most telling cell of the image draws it.
 
@@ -280,7 +297,7 @@ def _certainty(
     for i in range(n):
         own = noise2 / inv_sigma2[i]
         right[i], chi2, x, y, a, b, c = _judged(
-            T, points[i], point_covariance[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
+            T, points[i], spread[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
         )
         if right[i] > 1e-6:
             k = cell[i]
