@@ -273,9 +273,7 @@ def _add(J, x, y, a, b, c, pull, worth, H, gradient):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _certainty(
-    T, points, spread, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior
-):
+def _certainty(T, points, spread, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior):
     """Covariance (6, 6) of the pose, and by how much the most telling cell of the image draws it.
 
     The probabilities to be right are written once more. The points of a cell are of one surface, so that
