@@ -25,6 +25,9 @@ _RATIO = 0.8  # best over second best descriptor distance, without a prediction:
 _LEAST_INLIERS, _LEAST_INLIERS_RESUMED, _RESUMED_S = 30, 50, 1.0
 _FRAMES_APART = 20  # "more than 20 frames": section V-E, conditions 1 and 2
 _KEYFRAME_POINTS, _KEYFRAME_SHARE = 50, 0.9  # section V-E, conditions 3 and 4
+# Time in which mapping is busy with a keyframe: Table III, median of local mapping. In lockstep mapping takes
+# no time here, and nearly every frame would become a keyframe.
+_MAPPING_S = 0.384
 
 
 class PublishedSearch(Search):
@@ -100,7 +103,9 @@ class PublishedKeyframeChoice(KeyframeChoice):
         now, last, resumed = frame.features.index, tracking.last_keyframe, tracking.resumed
         if resumed is not None and abs(now - resumed.index) <= _FRAMES_APART:
             return False
-        return mapping_is_idle or last is None or abs(now - last.index) > _FRAMES_APART
+        if last is None or abs(now - last.index) > _FRAMES_APART:
+            return True
+        return mapping_is_idle and abs(frame.features.stamp_s - last.stamp_s) >= _MAPPING_S
 
     def wants(self, tracking: Tracking, frame: Frame, inliers: int, mapping_is_idle: bool) -> bool:
         """Return True if all four hold."""
