@@ -105,7 +105,9 @@ class PublishedKeyframeChoice(KeyframeChoice):
             return False
         if last is None or abs(now - last.index) > _FRAMES_APART:
             return True
-        return mapping_is_idle and abs(frame.features.stamp_s - last.stamp_s) >= _MAPPING_S
+        begun = tracking.map.n_keyframes > 2  # the two of the start are adjusted by tracking: IV-5
+        waited = abs(frame.features.stamp_s - last.stamp_s) >= _MAPPING_S
+        return mapping_is_idle and (waited or not begun)
 
     def wants(self, tracking: Tracking, frame: Frame, inliers: int, mapping_is_idle: bool) -> bool:
         """Return True if all four hold."""
