@@ -67,7 +67,7 @@ def test_settings_that_are_said_to_have_no_effect_are_not_read(monkeypatch):
 
     by_name: dict[int, str] = {}
     config, _ = default_settings("orbslam", CAMERA)
-    images, stamps_s, _ = toy(60, 0, 0.05)
+    images, stamps_s, _ = toy(130, 0, 0.05)
     system = build_system("orbslam", CAMERA, 0, config)
     watch(config, "")
     names = set(names_of(config))
@@ -80,7 +80,7 @@ def test_settings_that_are_said_to_have_no_effect_are_not_read(monkeypatch):
             return get(self, name)
 
         monkeypatch.setattr(group, "__getattribute__", reading)
-    feed(system, blanked(images, range(30, 34)), stamps_s)
+    feed(system, blanked(images, range(100, 104)), stamps_s)
     monkeypatch.undo()
     assert {"initialized", "breakage", "relocalized"} <= set(kinds(system))
     leaves = read & names
@@ -99,15 +99,19 @@ def test_the_rules_of_the_text_say_when_a_frame_is_lost_and_when_it_is_a_keyfram
             self.features, self.reference_keyframe = Features(index), 0
 
     class Tracking:
-        map, resumed, last_keyframe = SimpleNamespace(arrays=None), None, Features(100)
+        map, resumed = SimpleNamespace(arrays=None, n_keyframes=3), None
+        last_keyframe = Features(100)
 
     from dslab.slam.tracking.rules import published
 
     monkeypatch.setattr(published, "count_observed", lambda _, __, least: {1: 100, 3: 50}[least])
     choice, loss, state = PublishedKeyframeChoice(), PublishedLoss(), Tracking()
     wants = lambda index, inliers, idle: choice.wants(state, Frame(index), inliers, idle)  # noqa: E731
-    assert wants(101, 89, True) and not wants(101, 90, True) and not wants(101, 49, True)
+    assert wants(112, 89, True) and not wants(112, 90, True) and not wants(112, 49, True)
+    assert not wants(111, 89, True)  # mapping is busy for .384 s
     assert not wants(120, 89, False) and wants(121, 89, False)
+    state.map.n_keyframes = 2
+    assert wants(101, 89, True)
     lost = lambda index, inliers: loss.fault(state, Frame(index), None, inliers, 100)  # noqa: E731
     assert lost(101, 29) and not lost(101, 30)
     state.resumed = Features(100)
