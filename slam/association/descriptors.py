@@ -23,4 +23,5 @@ def odds_by_distance() -> np.ndarray:
     right, wrong = right / right.sum(), wrong / wrong.sum()
     # A normal density falls faster than what is seen: a share of ten thousand lies anywhere.
     right, wrong = (0.9999 * each + 1e-4 / 257 for each in (right, wrong))
-    return right / ((1.0 - LOOK_ALIKES) * wrong + LOOK_ALIKES * right)
+    odds = right / ((1.0 - LOOK_ALIKES) * wrong + LOOK_ALIKES * right)
+    return np.minimum.accumulate(odds)  # no distance says more than a smaller one

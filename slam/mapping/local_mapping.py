@@ -34,7 +34,7 @@ class LocalMappingConfig:
     redundancy: float = setting(0.9, "share of points well seen elsewhere that culls a keyframe", le=1)
 
 
-_ITERATIONS = 20
+_ITERATIONS = 60
 """Most steps of a bundle adjustment; it ends once they gain nothing."""
 
 

@@ -117,11 +117,6 @@ def local_bundle_adjust(
     problem = _Problem.checked(
         T_cam_map, fixed, points, obs_cam, obs_point, pixels, inv_sigma2, fx, fy, cx, cy
     )
-    import os
-
-    if os.environ.get("STUDENT"):
-        result = problem.adjusted(problem.finite(), int(os.environ["STUDENT"]), -1.0)
-        return result, result.chi2 <= 18.0
     robust = problem.adjusted(problem.finite(), robust_iterations, _HUBER_DELTA)
     problem.T, problem.points = robust.T_cam_map, robust.points
     result = problem.adjusted(robust.chi2 <= CHI2_2DOF, _FINAL_ITERATIONS, 0.0)
@@ -140,7 +135,7 @@ def likeliest_bundle(
     fy: float,
     cx: float,
     cy: float,
-    iterations: int = 20,
+    iterations: int = 60,
 ) -> tuple[BundleResult, np.ndarray]:
     """Bundle-adjust where errors are of Student's t: no error is cut off, those far out weigh less.
 

@@ -4,8 +4,14 @@ Every match is right with some probability: its error is then normal, of the key
 own covariance. Else it lies anywhere in the window in which it was found. Pose, noise and these probabilities
 are found by expectation maximisation, so that no error is cut off that the noise is estimated from.
 
+The points are as unknown as the pose. Were their errors noise alone, a step would come out short by the
+share that they have in the spread of inverse depths, which is much before a wall (regression dilution); new
+points would come out near, and the map would shrink. So derivatives are taken where the frame itself puts
+the points.
+
 Source: Dempster, Laird, Rubin, "Maximum likelihood from incomplete data via the EM algorithm", 1977; the
-mixture with a uniform of Torr and Zisserman, "MLESAC", 2000.
+mixture with a uniform of Torr and Zisserman, "MLESAC", 2000; errors in
+variables of Fuller, "Measurement error models", 1987.
 """
 
 from typing import NamedTuple
@@ -28,7 +34,7 @@ CELLS = 8
 """To a row of the image, of those cells."""
 _RIGHT, _WRONG = 8.0, 2.0
 """What is believed of the share of right matches before any is seen: as of ten."""
-_ANNEALED, _STEPS = 5, 12
+_ANNEALED, _STEPS = 5, 20
 _SETTLED = 1e-2
 """In standard deviations: a step less than that ends the search."""
 
@@ -42,6 +48,8 @@ class UncertainPose(NamedTuple):
         noise2: variance of the keypoints over what the view says.
         covariance: (6, 6) of the pose, as a twist from the left; infinite where it is not determined.
         drawn: by how many standard deviations the pose moves without the cell of the image that tells most.
+        cells: of the image in which there are right matches.
+        depth: median one of those, NaN without any.
     """
 
     T_cam_map: np.ndarray
@@ -49,6 +57,8 @@ class UncertainPose(NamedTuple):
     noise2: float
     covariance: np.ndarray
     drawn: float
+    cells: int
+    depth: float
 
 
 def uncertain_pose(
@@ -63,6 +73,7 @@ def uncertain_pose(
     prior: np.ndarray,
     intrinsics: np.ndarray,
     cell_px: float,
+    telling: int | None = None,
 ) -> UncertainPose:
     """Refine a camera's pose on uncertain points.
 
@@ -79,6 +90,8 @@ def uncertain_pose(
         prior: (6, 6) information of the initial pose, zeros for none.
         intrinsics: (4,) fx, fy, cx, cy, px.
         cell_px: side of the cells of the image.
+        telling: number of the first matches, whose errors tell the noise; the variance of the others is as
+            ``inv_sigma2`` says. None for all.
 
     Returns:
         See :class:`UncertainPose`. A pose that the matches do not determine is the initial one.
@@ -89,17 +102,20 @@ def uncertain_pose(
         np.ascontiguousarray(pixels, np.float64), np.ascontiguousarray(inv_sigma2, np.float64),
         np.ascontiguousarray(area, np.float64), float(noise2), float(spread_px2),
         np.ascontiguousarray(prior, np.float64), intrinsics, float(cell_px),
+        len(points) if telling is None else telling,
     )  # fmt: skip
     return UncertainPose(T, *found)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _estimate(
-    T, points, point_covariance, pixels, inv_sigma2, area, usual2, spread_px2, prior, intrinsics, cell_px
-):
+    T, points, point_covariance, pixels, inv_sigma2, area, usual2, spread_px2, prior, intrinsics, cell_px,
+    telling,
+):  # fmt: skip
     start, trial = T.copy(), T.copy()
     right = np.zeros(len(points))
-    spread = _spread_of_points(T, points, point_covariance, intrinsics)
+    spread, about_this_pose = np.empty((len(points), 5)), True
+    _spread_of_points(T, points, point_covariance, intrinsics, spread)
     H, L, rows = np.empty((6, 6)), np.empty((6, 6)), whole_rows(np.int64(6))
     gradient, step = np.empty(6), np.empty(6)
     moved = np.zeros(6)  # from the start, to first order
@@ -113,8 +129,8 @@ def _estimate(
             for c in range(6):
                 gradient[r] += prior[r, c] * moved[c]
         share, told2 = _accumulate(
-            T, points, spread, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
-            gradient,
+            T, points, spread, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, telling,
+            right, H, gradient,
         )  # fmt: skip
         if extra <= noise2:
             noise2 = told2
@@ -129,32 +145,25 @@ def _estimate(
         T[:] = trial
         moved += step
         determined = np.isfinite(T).all()
-        if not determined or (extra <= 0.01 * noise2 and gain < _SETTLED**2):
+        settled = extra <= 0.01 * noise2 and gain < _SETTLED**2
+        if not determined or (settled and about_this_pose):
             break
+        about_this_pose = settled or extra > noise2
+        if about_this_pose:
+            _spread_of_points(T, points, point_covariance, intrinsics, spread)
     if not determined:
         T[:] = start
-        return np.zeros(len(points)), usual2, np.full((6, 6), np.inf), np.inf
+        return np.zeros(len(points)), usual2, np.full((6, 6), np.inf), np.inf, np.int64(0), np.nan
     orthonormalise(T)
-    covariance, drawn = _certainty(
-        T,
-        points,
-        spread,
-        pixels,
-        inv_sigma2,
-        area,
-        noise2,
-        share,
-        intrinsics,
-        right,
-        cell_px,
-        prior,
+    covariance, drawn, cells, depth = _certainty(
+        T, points, spread, pixels, inv_sigma2, area, noise2, share, intrinsics, telling, right, cell_px, prior
     )
-    return right, noise2, covariance, drawn
+    return right, noise2, covariance, drawn, cells, depth
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _accumulate(
-    T, points, spread, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, right, H,
+    T, points, spread, pixels, inv_sigma2, area, usual2, noise2, extra, share, intrinsics, telling, right, H,
     gradient,
 ):  # fmt: skip
     """Write the probability of every match to be right, and add all to the normal equations.
@@ -167,7 +176,8 @@ def _accumulate(
     n = len(points)
     total, squares, count = 0.0, PRIOR_WORTH * usual2, 0.0
     for i in range(n):
-        own = noise2 / inv_sigma2[i] + extra
+        tells = i < telling
+        own = (noise2 if tells else 1.0) / inv_sigma2[i] + extra
         p, chi2, x, y, a, b, c = _judged(
             T, points[i], spread[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
         )
@@ -176,9 +186,10 @@ def _accumulate(
         if p <= 1e-6:
             continue
         weight = p * weight_at(chi2)
-        rest = p * (2.0 * own - own * own * (a + c))
-        squares += (weight * own * own * (x * x + y * y) + rest) * inv_sigma2[i]
-        count += 2.0 * p
+        if tells:
+            rest = p * (2.0 * own - own * own * (a + c))
+            squares += (weight * own * own * (x * x + y * y) + rest) * inv_sigma2[i]
+            count += 2.0 * p
         _add(J, x, y, a, b, c, weight, weight, H, gradient)
     told2 = squares / max(PRIOR_WORTH + count - min(6.0, count), 1.0)
     told2 = min(max(told2, usual2 / MOST_NOISE2), usual2 * MOST_NOISE2)
@@ -199,6 +210,10 @@ def _judged(T, xyz, spread, pixel, area, noise2, own, share, intrinsics, J, e):
     a, b, c = vv / det, -uv / det, uu / det
     x, y = a * e[0] + b * e[1], b * e[0] + c * e[1]
     chi2 = x * e[0] + y * e[1]
+    z = intrinsics[0] / J[0, 0]
+    nearer = z / max(z - noise2 * (spread[3] * x + spread[4] * y), 0.5 * z)
+    J[0, 0], J[0, 2] = nearer * J[0, 0], nearer * J[0, 2]
+    J[1, 1], J[1, 2] = nearer * J[1, 1], nearer * J[1, 2]
     likely = share * density_at(chi2, det)
     return likely / (likely + (1.0 - share) / area), chi2, x, y, a, b, c
 
@@ -222,20 +237,26 @@ def _linearise(T, xyz, spread, pixel, noise2, own, intrinsics, J, e):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _spread_of_points(T, points, point_covariance, intrinsics):
-    """Covariances (N, 3) of the points in the image: uu, uv, vv; 0 behind the camera.
+def _spread_of_points(T, points, point_covariance, intrinsics, spread):
+    """Write the covariances (N, 5) of the points in the image: uu, uv, vv, and with their depth zu, zv.
 
-    They are those about the initial pose: a pose that is refined hardly changes them.
+    They are 0 behind the camera.
     """
-    spread = np.zeros((len(points), 3))
+    spread[:] = 0.0
     for i in range(len(points)):
         xyz = points[i]
         z = T[2, 0] * xyz[0] + T[2, 1] * xyz[1] + T[2, 2] * xyz[2] + T[2, 3]
         if z > 1e-6:
             x = (T[0, 0] * xyz[0] + T[0, 1] * xyz[1] + T[0, 2] * xyz[2] + T[0, 3]) / z
             y = (T[1, 0] * xyz[0] + T[1, 1] * xyz[1] + T[1, 2] * xyz[2] + T[1, 3]) / z
-            spread[i] = of_point(T, x, y, intrinsics[0] / z, intrinsics[1] / z, point_covariance[i])
-    return spread
+            fu, fv, p = intrinsics[0] / z, intrinsics[1] / z, point_covariance[i]
+            spread[i, :3] = of_point(T, x, y, fu, fv, p)
+            zx = T[2, 0] * p[0] + T[2, 1] * p[1] + T[2, 2] * p[2]
+            zy = T[2, 0] * p[1] + T[2, 1] * p[3] + T[2, 2] * p[4]
+            zz = T[2, 0] * p[2] + T[2, 1] * p[4] + T[2, 2] * p[5]
+            for r, f, q in ((0, fu, x), (1, fv, y)):
+                along = zx * (T[r, 0] - q * T[2, 0]) + zy * (T[r, 1] - q * T[2, 1])
+                spread[i, 3 + r] = f * (along + zz * (T[r, 2] - q * T[2, 2]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -273,8 +294,10 @@ def _add(J, x, y, a, b, c, pull, worth, H, gradient):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _certainty(T, points, spread, pixels, inv_sigma2, area, noise2, share, intrinsics, right, cell_px, prior):
-    """Covariance (6, 6) of the pose, and by how much the most telling cell of the image draws it.
+def _certainty(
+    T, points, spread, pixels, inv_sigma2, area, noise2, share, intrinsics, telling, right, cell_px, prior
+):
+    """Covariance (6, 6) of the pose, by how much a cell draws it, cells with matches, median depth.
 
     The probabilities to be right are written once more. The points of a cell are of one surface, so that
     their errors go together: n of them are worth n / (1 + (n - 1) ρ).
@@ -291,18 +314,24 @@ def _certainty(T, points, spread, pixels, inv_sigma2, area, noise2, share, intri
         cell[i] = int((pixels[i, 1] - low_y) / cell_px) * (CELLS + 1) + column
         most = max(most, cell[i])
     count = np.zeros(most + 1)
+    depths, seen = np.empty(n), 0
     H, gradient = np.zeros((most + 1, 6, 6)), np.zeros((most + 1, 6))
     for i in range(n):
-        own = noise2 / inv_sigma2[i]
+        own = (noise2 if i < telling else 1.0) / inv_sigma2[i]
         right[i], chi2, x, y, a, b, c = _judged(
             T, points[i], spread[i], pixels[i], area[i], noise2, own, share, intrinsics, J, e
         )
+        if right[i] > 0.5:
+            xyz = points[i]
+            depths[seen] = T[2, 0] * xyz[0] + T[2, 1] * xyz[1] + T[2, 2] * xyz[2] + T[2, 3]
+            seen += 1
         if right[i] > 1e-6:
             k = cell[i]
             count[k] += right[i]
             pull, worth = right[i] * weight_at(chi2), right[i] * INFORMATION
             _add(J, x, y, a, b, c, pull, worth, H[k], gradient[k])
-    telling = 0
+    depth = np.median(depths[:seen]) if seen else np.nan
+    most_telling, cells = 0, (count >= 0.5).sum()
     whole, slope = prior.copy(), np.zeros(6)
     for k in range(most + 1):
         shared = 1.0 + max(count[k] - 1.0, 0.0) * SAME_SURFACE
@@ -310,22 +339,22 @@ def _certainty(T, points, spread, pixels, inv_sigma2, area, noise2, share, intri
         gradient[k] /= shared
         whole += H[k]
         slope += gradient[k]
-        if np.trace(H[k]) > np.trace(H[telling]):
-            telling = k
+        if np.trace(H[k]) > np.trace(H[most_telling]):
+            most_telling = k
     covariance = np.full((6, 6), np.inf)
     L, rows, column = whole.copy(), whole_rows(np.int64(6)), np.empty(6)
     if not factor(L, rows):
-        return covariance, np.inf
+        return covariance, np.inf, cells, depth
     for c in range(6):
         column[:] = 0.0
         column[c] = 1.0
         solve(L, rows, column)
         covariance[:, c] = column
     covariance = 0.5 * (covariance + covariance.T)
-    L[:] = whole - H[telling]
+    L[:] = whole - H[most_telling]
     if not factor(L, rows):
-        return covariance, np.inf
-    pull = gradient[telling] - slope
+        return covariance, np.inf, cells, depth
+    pull = gradient[most_telling] - slope
     column[:] = pull
     solve(L, rows, column)
-    return covariance, np.sqrt(max(np.dot(column, pull), 0.0))
+    return covariance, np.sqrt(max(np.dot(column, pull), 0.0)), cells, depth

@@ -20,11 +20,12 @@ def student(rng, n):
 
 
 def seen(
-    rng, n=200, noise_px=1.0, depth_deviation=0.0, wrong=0, window_px=30.0, T=None, within=(10, 10, 630, 470)
-):
+    rng, n=200, noise_px=1.0, depth_deviation=0.0, wrong=0, window_px=30.0, T=None, within=(10, 10, 630, 470),
+    depths=(3, 8),
+):  # fmt: skip
     """Points in the view of the origin, as a map has them, and their keypoints at T; the first are wrong."""
     pixels = rng.uniform(within[:2], within[2:], (n, 2))
-    z = rng.uniform(3, 8, n)
+    z = rng.uniform(*depths, n)
     rays = np.column_stack([(pixels - K[2:]) / K[:2], np.ones(n)])
     xyz = rays * z[:, None]
     along = depth_deviation * z
@@ -143,3 +144,27 @@ def test_a_prior_holds_what_points_leave_open():
     found = estimate(of, START, prior=np.eye(6) * 1e4)
     assert np.isfinite(found.covariance).all()
     assert np.abs(twist_to_truth(found.T_cam_map @ np.linalg.inv(START))).max() < 0.05
+
+
+def test_a_step_before_a_wall_does_not_come_out_short():
+    """As much error in the inverse depths as there is spread: least squares would find half the step."""
+    step = rigid((-0.4, 0.0, 0.0), (0.0, 1.0, 0.0))
+    for off in (-0.1, 0.1):
+        found = []
+        for seed in range(8):
+            rng, within = np.random.default_rng(seed), (220, 140, 420, 340)
+            of = seen(rng, 600, 0.3, depth_deviation=0.06, T=step, within=within, depths=(4.5, 5.5))
+            of = of[0], of[1] / 0.3**2, *of[2:]  # at unit noise
+            found.append(estimate(of, step @ rigid((off, 0.0, 0.0))).T_cam_map[0, 3] / step[0, 3])
+        assert np.mean(found) == pytest.approx(1.0, abs=0.04)
+
+
+def test_what_tells_no_noise_is_as_noisy_as_it_says():
+    rng = np.random.default_rng(5)
+    sharp, smeared = seen(rng, 100, 0.5), seen(rng, 100, 3.0)
+    both = tuple(np.concatenate(each) for each in zip(smeared, sharp, strict=True))
+    area = np.full(200, 900.0)
+    found = uncertain_pose(np.eye(4), *both, area, 1.0, 25.0, NO_PRIOR, K, CELL_PX, telling=100)
+    assert np.sqrt(found.noise2) == pytest.approx(2.6, abs=0.6)
+    alone = estimate(smeared, np.eye(4))
+    assert np.trace(found.covariance) < 0.2 * np.trace(alone.covariance)
