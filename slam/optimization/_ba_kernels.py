@@ -204,7 +204,7 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
     observed = start, camera, pixels, weights, intrinsics, huber2
     initial = robust_cost(T, points, *observed)
     # Reweighting converges slowly: a small gain says less there. Student's loss is a log-likelihood, of which
-    # a thousandth tells nothing; along walls the last hundredth still moves the step between two keyframes.
+    # a thousandth tells nothing. A hundredth was too much along walls: docs/notebook/base-decides.md.
     tolerance = 1e-7 if huber2 == 0.0 else 1e-9 if huber2 > 0.0 else 1e-3 / max(initial, 1.0)
     problem = T, points, T.copy(), points.copy(), observed, slot, model, room
     cost, _ = minimise(_linearise, _propose, _accept, problem, initial, iterations, 1e-4, tolerance)

@@ -5,13 +5,13 @@ own covariance. Else it lies anywhere in the window in which it was found. Pose,
 are found by expectation maximisation, so that no error is cut off that the noise is estimated from.
 
 The points are as unknown as the pose. Were their errors noise alone, a step would come out short by the
-share that they have in the spread of inverse depths, which is much before a wall (regression dilution); new
+share that they have in the spread of inverse depths, which is much before a wall: regression dilution. New
 points would come out near, and the map would shrink. So derivatives are taken where the frame itself puts
 the points.
 
 Source: Dempster, Laird, Rubin, "Maximum likelihood from incomplete data via the EM algorithm", 1977; the
-mixture with a uniform of Torr and Zisserman, "MLESAC", 2000; errors in
-variables of Fuller, "Measurement error models", 1987.
+mixture with a uniform of Torr and Zisserman, "MLESAC", 2000; errors in variables of Fuller, "Measurement
+error models", 1987.
 """
 
 from typing import NamedTuple
@@ -199,6 +199,8 @@ def _accumulate(
 @njit(cache=True, nogil=True, error_model="numpy")
 def _judged(T, xyz, spread, pixel, area, noise2, own, share, intrinsics, J, e):
     """Probability of a match to be right, 0 behind the camera, where ``share`` of all are; J, e are written.
+
+    J is at the depth at which the match itself puts the point, at least half of what it was.
 
     Returns:
         (probability, χ², error times information (x, y), information (uu, uv, vv)).

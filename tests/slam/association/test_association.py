@@ -164,3 +164,8 @@ def test_points_of_a_keyframe_are_sought_where_they_should_show_and_are_not_obse
 
     m.arrays.kf_T_cam_map[1] = rigid((0, 0, 0), (0, 180, 0)) @ m.arrays.kf_T_cam_map[1]
     assert rules.targets(3) == [0]  # what should not show is not missed
+
+
+def test_a_larger_distance_of_descriptors_never_speaks_more_for_a_match():
+    odds = odds_by_distance()
+    assert odds[0] > 10 and odds[-1] < 1e-3 and (np.diff(odds) <= 0).all()

@@ -147,7 +147,7 @@ def test_a_prior_holds_what_points_leave_open():
 
 
 def test_a_step_before_a_wall_does_not_come_out_short():
-    """As much error in the inverse depths as there is spread: least squares would find half the step."""
+    """Inverse depths err as much as they spread: least squares finds two thirds of the step."""
     step = rigid((-0.4, 0.0, 0.0), (0.0, 1.0, 0.0))
     for off in (-0.1, 0.1):
         found = []
