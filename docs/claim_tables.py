@@ -203,6 +203,11 @@ def _worth(name: str) -> str:
     """What was told from 0 without a deviation, and with it alone on the published profile."""
     without = list(_told("ablation", f"without-{name}"))
     alone = list(_told("ablation-paper", f"with-{name}"))
+    measured = {
+        row["variant"] for claim in ("ablation", "ablation-paper") for row in _claim(claim)["contrasts"]
+    }
+    if not measured & {f"without-{name}", f"with-{name}"}:
+        return "Not measured."
     gains = any(row["better"] is False for row in without) or any(row["better"] for row in alone)
     sides = (("Without it", without), ("Alone", alone))
     parts = [f"{words} {'; '.join(map(_told_words, rows))}." for words, rows in sides if rows]

@@ -13,7 +13,7 @@ class PatientOrb:
     cost = slam.RecoveryCost(frame_ms=2.0, keyframe_ms=20.0, alignment_ms=4.0)
 
     def __init__(self, config: slam.RecoveryConfig | None = None) -> None:
-        self.config = config or slam.OrbRecoveryConfig(max_unusable_s=math.inf)
+        self.config = config or slam.RecoveryConfig(max_unusable_s=math.inf)
 
     def run(self, task: slam.RecoveryTask) -> slam.RecoveryResult:
         """Go back over the buffer until the maps overlap or the frames are used up."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         RecoveryTask,
         RecoveryThread,
     )
-    from dslab.slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
+    from dslab.slam.dual.recovery.orb import OrbRecovery
     from dslab.slam.dual.recovery.registry import ThreadSpec, register_recovery_thread
     from dslab.slam.factory import SYSTEMS, build_system
     from dslab.slam.runtime.backend import ExecutionMode
@@ -37,7 +37,6 @@ _HOMES = {
     "MapTrajectory": "dslab.slam.core.results",
     "MonocularSlam": "dslab.slam.system",
     "OrbRecovery": "dslab.slam.dual.recovery.orb",
-    "OrbRecoveryConfig": "dslab.slam.dual.recovery.orb",
     "PinholeCamera": "dslab.slam.core.camera",
     "RecoveryConfig": "dslab.slam.dual.recovery.interface",
     "RecoveryCost": "dslab.slam.dual.recovery.interface",
@@ -65,7 +64,6 @@ __all__ = [
     "MonocularSlam",
     "MonocularSystem",
     "OrbRecovery",
-    "OrbRecoveryConfig",
     "PinholeCamera",
     "RecoveryConfig",
     "RecoveryCost",

@@ -308,7 +308,8 @@ class SlamEngine:
             self._rescue.ended()
         m = self.store.current
         self._mapper = LocalMapper(m, self.config.mapping, self.backend.lock)
-        self._tracker = Tracker(m, self.config.tracking, self.timer)
+        motion = None if self._tracker is None else self._tracker.motion
+        self._tracker = Tracker(m, self.config.tracking, self.timer, motion)
         self.second_motion = None
 
     def _start_map(self, initial: InitialMap) -> None:

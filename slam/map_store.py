@@ -14,6 +14,7 @@ from dslab.slam.places.recognition import KeyframeDatabase
 from dslab.slam.tracking.doubt import Doubt
 from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.relocalization import Relocalizer
+from dslab.slam.tracking.rules.registry import rules_of
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Places:
         return cls(
             database,
             LoopDetector(map_, database, config.loops, config.place),
-            Relocalizer(map_, database, config.relocalization),
+            Relocalizer(map_, database, config.relocalization, rules_of(config.tracking)),
         )
 
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 from dslab.slam.map.map import Map
-from dslab.slam.matching import guided
+from dslab.slam.published._search_kernels import search_local_map
 from dslab.slam.system import MonocularSlam
 from dslab.slam.tracking.local_map import local_map
 
@@ -26,8 +26,8 @@ MEASURES: dict[str, tuple[str, bool]] = {
     "relative_depth": ("depth over its keyframe's median", True),
 }
 """Every measure, with its label and whether it is drawn on a logarithmic axis."""
-WIDEN = 3.0
-"""Windows of the search for live residuals over the tracker's own."""
+RADIUS_PX = 12.0
+"""Window of the search for live residuals on the finest level: three times that of ORB-SLAM's release."""
 _EVEN_SHARE = 0.05  # of the tiles, the most even ones, in which noise is measured
 _NOISE_TILE_PX = 16
 _LEAST_CORNER, _CLEAR_CORNER = 7, 20
@@ -105,8 +105,8 @@ def live_residuals(system: MonocularSlam) -> np.ndarray:
     known = last.point.copy()
     _, points = local_map(m, known, near)
     point = np.full(len(f), -1, np.int32)
-    guided.match_local_points(
-        m.arrays, m.view, T, points, f.xy, f.octave, f.descriptors, f.cell_start, point, WIDEN, 0.8, False
+    search_local_map(
+        m.arrays, m.view, T, points, f.xy, f.octave, f.descriptors, f.cell_start, point, RADIUS_PX, False
     )
     row = np.flatnonzero(point >= 0)
     p_cam = m.arrays.pt_xyz[point[row]] @ T[:3, :3].T + T[:3, 3]

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.features._hamming import hamming256
-from dslab.slam.matching.guided import in_view, project
+from dslab.slam.matching.projection import in_view, project
 from dslab.slam.optimization.student import CHI2_99, density_at
 from dslab.slam.optimization.uncertain_pose import SAME_SURFACE, of_point
 
@@ -251,3 +251,36 @@ def _evidence(told, count):
             of_rate += told[c] / (1.0 + (count[c] - 1.0) * SAME_SURFACE)
     most = of_rate.max()
     return most + np.log(np.mean(np.exp(of_rate - most)))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def matches_of(m, view, point, xy, octave, area, image, noise2):
+    """Gather what the matches of a frame say of its pose.
+
+    Args:
+        m: MapArrays.
+        view: ViewGeometry.
+        point: (N,) int32 point per keypoint, -1 for none.
+        xy, octave, area: keypoints, and the window in which each was found, px², 0 for the whole image.
+        image: its area, px².
+        noise2: variance of the keypoints over what the view says.
+
+    Returns:
+        Of n matches: rows (n,), points (n, 3), their covariances (n, 6), pixels (n, 2), information of each
+        (n,), 1/px², and areas (n,); the median variance of the predictions in the image that these tell.
+    """
+    n = (point >= 0).sum()
+    rows = np.empty(n, np.int64)
+    xyz, covariance, pixels = np.empty((n, 3)), np.empty((n, 6)), np.empty((n, 2))
+    information, areas, spread = np.empty(n), np.empty(n), np.empty(n)
+    k = 0
+    for i in range(len(point)):
+        p = point[i]
+        if p < 0:
+            continue
+        rows[k], information[k] = i, view.inv_sigma2[octave[i]]
+        xyz[k], covariance[k], pixels[k] = m.pt_xyz[p], m.pt_covariance[p], xy[i]
+        areas[k] = area[i] if area[i] > 0 else image
+        spread[k] = max(areas[k] / (np.pi * CHI2_99) - noise2 / information[k], 0.0)
+        k += 1
+    return rows, xyz, covariance, pixels, information, areas, np.median(spread) if n else 0.0

@@ -156,6 +156,8 @@ class Frame:
             determined.
         relative: the pose relative to the reference keyframe with its covariance, None where not told.
         drawn: by how many standard deviations the pose moves without the cell of the image that tells most.
+        cells: of the image in which points are found.
+        depth: median one of what is found, map units; NaN while nothing is.
         evidence: log of the odds that the view is here, by all points that it should show.
         sought: pose (4, 4) and covariance (6, 6) by which points were last sought, None where not by those.
         area: (N,) of the window in which each keypoint was found, px²; 0 for the whole image.
@@ -170,6 +172,8 @@ class Frame:
     noise2: float = np.nan
     covariance: np.ndarray = field(default_factory=lambda: np.zeros((6, 6)))
     drawn: float = 0.0
+    cells: int = 0
+    depth: float = np.nan
     evidence: float = 0.0
     relative: RelativePose | None = None
     sought: tuple[np.ndarray, np.ndarray] | None = None
@@ -190,6 +194,8 @@ class Frame:
             self.noise2,
             self.covariance.copy(),
             self.drawn,
+            self.cells,
+            self.depth,
             self.evidence,
             self.relative,
             self.sought,

@@ -39,7 +39,6 @@ SAID: dict[str, str] = {
     "THREAD.fusion.min_share": "III-C: none",
     "THREAD.fusion.place": "III-C: none",
     "THREAD.doubt": "III-B: none",
-    "ORB.min_share": "Algorithm 1: none",
     "SIFT.contrast": "Lowe's threshold of keypoints",
     "SIFT.ratio": "Lowe's ratio of matches",
 }

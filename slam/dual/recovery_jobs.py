@@ -1,6 +1,7 @@
 """Recovery jobs: Algorithm 1 for every breakage, beside tracking; its events. Source: paper, Sec. III-B."""
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from math import inf
 
@@ -159,7 +160,7 @@ class RecoveryJobs:
             rng = rng_for(engine.seed, "recovery", number, seed, new.since)
             task = RecoveryTask(
                 own, start, backward, job.old_maps, step, rng, engine.camera, images,
-                system=engine.config, remembered=engine.remembered,
+                motion=copy(engine.tracker.motion), system=engine.config, remembered=engine.remembered,
             )  # fmt: skip
             job.runs.append(RecoveryRun(number, thread, task, now_s))
             self._scheduler.submit(job.runs[-1])

@@ -11,11 +11,9 @@ from dslab.slam.loop_closing.essential_graph import optimize_essential_graph
 from dslab.slam.loop_closing.map_alignment import Alignment
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
-from dslab.slam.matching.guided import fuse_into_keyframe
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.mapping.rules import MapRules, map_rules
 from dslab.slam.optimization.sim3_algebra import invert_sim3
-
-# Window of the search for duplicates, px on level 0: the loop's alignment is good to a few pixels.
-_FUSE_RADIUS_PX = 4.0
 
 
 @dataclass(frozen=True)
@@ -39,13 +37,14 @@ class Loop:
     alignment: Alignment
 
 
-def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
+def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray, mapping: LocalMappingConfig) -> np.ndarray:
     """Correct a loop: move the keyframe's surroundings, fuse both sides, optimise the essential graph.
 
     Args:
         map_: changed in place.
         loop: the detected loop.
         loop_points: (q,) int32 points of the loop's side, matched with the corrected keyframes.
+        mapping: settings by which they are.
 
     Returns:
         (n_keyframes,) scale change of lengths around each keyframe.
@@ -55,7 +54,7 @@ def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray) -> np.ndarray:
     before = a.covisibility[group, :n] > 0
     T_before = a.kf_T_cam_map[:n].copy()
     moved = _move_group(map_, group, loop)
-    _join(map_, group, loop, loop_points)
+    _join(map_, group, loop, loop_points, map_rules(map_, mapping))
     S_start = T_before.copy()
     correction = np.linalg.inv(loop.S_cam_map) @ T_before[loop.keyframe]
     S_start[group] = T_before[group] @ invert_sim3(correction[None])
@@ -94,7 +93,7 @@ def _move_group(map_: Map, group: np.ndarray, loop: Loop) -> np.ndarray:
     return moved
 
 
-def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> None:
+def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray, rules: MapRules) -> None:
     """Fuse the matched points, then match the group with all points of the loop's side."""
     a, view = map_.arrays, map_.view
     rows = map_.keypoints(loop.keyframe).start + loop.rows
@@ -107,7 +106,7 @@ def _join(map_: Map, group: np.ndarray, loop: Loop, loop_points: np.ndarray) -> 
     for k in group:
         candidates = loop_points.copy()
         kernels.resolve_points(a, candidates)
-        fuse_into_keyframe(a, map_.view, int(k), np.unique(candidates[candidates >= 0]), _FUSE_RADIUS_PX)
+        rules.seek(int(k), np.unique(candidates[candidates >= 0]), joining=True)
 
 
 def _new_edges(map_: Map, group: np.ndarray, before: np.ndarray, loop: Loop) -> np.ndarray:

@@ -13,7 +13,7 @@ from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.matching.brute_force import match_oriented
-from dslab.slam.matching.guided import NEAR
+from dslab.slam.matching.window import FREE_BITS
 from dslab.slam.optimization.sim3 import (
     Sim3Result,
     optimize_sim3,
@@ -198,7 +198,12 @@ def matched_keypoints(
     if not len(rows_a) or not len(rows_b):
         return rows_a[:0], rows_b[:0]
     pairs = match_oriented(
-        a.kp_descriptor[rows_a], a.kp_angle[rows_a], b.kp_descriptor[rows_b], b.kp_angle[rows_b], NEAR, 0.75
+        a.kp_descriptor[rows_a],
+        a.kp_angle[rows_a],
+        b.kp_descriptor[rows_b],
+        b.kp_angle[rows_b],
+        FREE_BITS,
+        0.75,
     )
     return rows_a[pairs[:, 0]], rows_b[pairs[:, 1]]
 

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
 _FRAMES = 100
 
 
@@ -20,6 +22,8 @@ class KeypointNoise:
     frames: int = 0
 
     def note(self, variance: float) -> None:
-        """Learn from a frame."""
+        """Learn from a frame; one that has told none, NaN, leaves it as it is."""
+        if not np.isfinite(variance):
+            return
         self.frames = min(self.frames + 1, _FRAMES)
         self.variance += (variance - self.variance) / self.frames

@@ -17,25 +17,15 @@ from dslab.slam.mapping.rules import MapRule, MapRules, map_rules
 class LocalMappingConfig:
     """Settings of local mapping."""
 
-    association: MapRule = setting("own", "how keypoints of keyframes are matched and how their errors weigh")
-    max_depth_error: float = setting(0.1, "largest standard deviation of a new derived depth over itself")
+    rules: MapRule = setting("own", "what decides: covariances; published: what ORB-SLAM's text says")
+    max_depth_error: float = setting(0.1, "largest standard deviation of a new depth over itself")
     neighbours: int = setting(10, "covisible keyframes used for triangulation and fusion")
     min_baseline: float = setting(0.01, "least baseline for triangulation", unit=DEPTHS)
     min_depth: float = setting(0.1, "least depth of a new point", unit=DEPTHS)
-    min_parallax_deg: float = setting(0.8, "least angle between the rays of a new point")
-    depth_around: int = setting(7, "points around that say its depth; 0: the measured angle counts")
-    descriptor_ratio: float = setting(0.8, "best over second best along the epipolar line", le=1)
     window: int = setting(20, "keyframes that local bundle adjustment moves, the new one included")
     fixed: int = setting(40, "most fixed keyframes around them")
-    robust_iterations: int = setting(
-        50, "most steps before outliers go; ORB-SLAM's 5 leave poses along walls as tracked"
-    )
     min_found_share: float = setting(0.25, "a young point found in less is culled", le=1)
     redundancy: float = setting(0.9, "share of points well seen elsewhere that culls a keyframe", le=1)
-
-
-_ITERATIONS = 60
-"""Most steps of a bundle adjustment; it ends once they gain nothing."""
 
 
 class LocalMapper:
@@ -97,19 +87,17 @@ class LocalMapper:
                 a, m.n_keyframes, m.n_points, free, self.config.fixed
             )
             T_cam_map, xyz = a.kf_T_cam_map[cameras], a.pt_xyz[points]
-            noise2 = np.array([m.features(int(k)).noise2 for k in cameras])
-        noise2[np.isnan(noise2)] = m.noise2
-        fixed = ~free[cameras]
+            information = self._information(cameras, obs_camera, obs_keypoint)
+        observed = np.bincount(obs_camera, minlength=len(cameras))
+        fixed = ~free[cameras] | (observed < self.rules.least_observations)
         if not fixed.any():
             fixed[0] = True
         if fixed.all() or not len(points):
             return
-        rules = self.rules
-        steps = _ITERATIONS if rules.converges else self.config.robust_iterations
-        result, good = rules.adjust(
+        result, good = self.rules.adjust(
             T_cam_map, fixed, xyz, obs_camera, obs_point,
-            a.kp_xy[obs_keypoint], view.inv_sigma2[a.kp_octave[obs_keypoint]] / noise2[obs_camera],
-            view.fx, view.fy, view.cx, view.cy, steps,
+            a.kp_xy[obs_keypoint], information,
+            view.fx, view.fy, view.cx, view.cy,
         )  # fmt: skip
         with self.lock:
             a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
@@ -128,6 +116,13 @@ class LocalMapper:
         self._young = np.empty(0, np.int64)
 
     # -- steps -------------------------------------------------------------------------------------------
+
+    def _information(self, cameras: np.ndarray, obs_camera: np.ndarray, keypoints: np.ndarray) -> np.ndarray:
+        """(n,) of keypoints in their cameras, 1/px², at the noise that each keyframe has told."""
+        m = self.map
+        noise2 = np.array([m.features(int(k)).noise2 for k in cameras])
+        noise2[np.isnan(noise2)] = m.noise2
+        return m.view.inv_sigma2[m.arrays.kp_octave[keypoints]] / noise2[obs_camera]
 
     def _cull_young_points(self, keyframe: int) -> None:
         """Cull points that are rarely found, or not observed by a third keyframe in time."""

@@ -1,10 +1,11 @@
 """What local mapping decides by: how keypoints of keyframes are matched, how their errors weigh, what leaves.
 
-``own`` are the rules of release 0.2.0, ``published`` those of ORB-SLAM's text, ``derived`` those that follow
-from covariances.
+``own`` are rules that follow from covariances, ``published`` those of ORB-SLAM's text.
 """
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -17,19 +18,18 @@ from dslab.slam.association._mapping_kernels import (
     unobserved_in,
 )
 from dslab.slam.association.descriptors import odds_by_distance
+from dslab.slam.association.placing import LEAST_RIGHT
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map._local_map_kernels import local_keyframes
 from dslab.slam.map.map import MIN_SHARED, Map
-from dslab.slam.mapping import _triangulation_search as own
-from dslab.slam.matching.guided import fuse_into_keyframe
-from dslab.slam.optimization.bundle_adjustment import likeliest_bundle, local_bundle_adjust
+from dslab.slam.optimization.bundle_adjustment import BundleResult, likeliest_bundle, local_bundle_adjust
 from dslab.slam.published import _mapping_kernels as published
 from dslab.slam.published._search_kernels import search_keyframe
 
 if TYPE_CHECKING:
     from dslab.slam.mapping.local_mapping import LocalMappingConfig
 
-MapRule = Literal["own", "published", "derived"]
+MapRule = Literal["own", "published"]
 """By which local mapping decides."""
 Points = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -39,19 +39,21 @@ _AROUND = 3
 """Keyframes that are looked at for the points of a new one, over those that are searched."""
 _SECOND = 5
 """Neighbours of a neighbour that are searched too."""
-_FUSE_PX = 3.0
-"""Window around a point sought in a keyframe, px on the finest level; release."""
+_FUSE_PX, _JOIN_PX = 3.0, 4.0
+"""Windows around points sought in a keyframe, px on the finest level, and across a loop; release."""
+_PARALLAX_COSINE = float(np.cos(np.deg2rad(1.15)))
+"""Most cosine between the rays of a new point, which VI-C checks; release: .9998."""
 
 
 class MapRules(ABC):
     """Rules of local mapping."""
 
-    coarser = True
+    coarser: bool
     """Whether what others see more coarsely makes a keyframe redundant; see ``redundant_share``."""
-    adjust = staticmethod(local_bundle_adjust)
+    least_observations: int
+    """Local bundle adjustment holds a keyframe that has fewer."""
+    adjust: Callable[..., tuple[BundleResult, np.ndarray]]
     """Local bundle adjustment."""
-    converges = False
-    """Whether it runs until it gains nothing, and not for ``robust_iterations``."""
 
     def __init__(self, map_: Map, config: "LocalMappingConfig") -> None:
         self.map = map_
@@ -75,8 +77,11 @@ class MapRules(ABC):
         """
 
     @abstractmethod
-    def seek(self, keyframe: int, points: np.ndarray) -> None:
-        """Find points (Q,) int32 in a keyframe that does not observe them; those that are one become one."""
+    def seek(self, keyframe: int, points: np.ndarray, joining: bool = False) -> None:
+        """Find points (Q,) int32 in a keyframe that does not observe them; those that are one become one.
+
+        With ``joining`` they are from the other side of a loop or a seam.
+        """
 
     def targets(self, keyframe: int) -> list[int]:
         """Keyframes in which the points of a new one are sought, and whose points are sought in it."""
@@ -90,49 +95,33 @@ class MapRules(ABC):
         return kernels.redundant_share(self.map.arrays, keyframe, self.coarser, self.map.view)
 
 
-class OwnMapRules(MapRules):
-    """Epipolar lines and windows, with a least parallax at the depth of the points around."""
-
-    def expected_depths(self, keyframe: int, otherwise: float = 0.0) -> np.ndarray:
-        """(n,) median of the points around."""
-        found = own.surrounding_depths(self.map.arrays, keyframe, self.config.depth_around)
-        return np.where(found > 0, found, otherwise) if self.config.depth_around > 0 else found
-
-    def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
-        """The nearest descriptor of a line, if it is clearly nearest."""
-        m, config = self.map, self.config
-        cosine, ratio = float(np.cos(np.deg2rad(config.min_parallax_deg))), config.descriptor_ratio
-        return own.new_points(m.arrays, m.view, keyframe, other, nearest, expected, cosine, ratio)
-
-    def seek(self, keyframe: int, points: np.ndarray) -> None:
-        """In windows of fixed size."""
-        fuse_into_keyframe(self.map.arrays, self.map.view, keyframe, points, _FUSE_PX)
-
-
 class PublishedMapRules(MapRules):
     """Sections VI-C and VI-E of ORB-SLAM."""
 
     coarser = False
+    least_observations = 0
+    adjust = staticmethod(partial(local_bundle_adjust, robust_iterations=5))  # release; VI-D
 
     def new_points(self, keyframe: int, other: int, nearest: float, expected: np.ndarray) -> Points:
         """The nearest descriptor that fulfils the epipolar constraint."""
-        m, cosine = self.map, float(np.cos(np.deg2rad(self.config.min_parallax_deg)))
+        m, cosine = self.map, _PARALLAX_COSINE
         return published.new_points(m.arrays, m.view, keyframe, other, nearest, cosine)
 
-    def seek(self, keyframe: int, points: np.ndarray) -> None:
+    def seek(self, keyframe: int, points: np.ndarray, joining: bool = False) -> None:
         """As points of the local map are sought in a frame."""
-        search_keyframe(self.map.arrays, self.map.view, keyframe, points, _FUSE_PX)
+        search_keyframe(self.map.arrays, self.map.view, keyframe, points, _JOIN_PX if joining else _FUSE_PX)
 
     def targets(self, keyframe: int) -> list[int]:
         """The connected keyframes."""
         return [int(k) for k in self.map.neighbours(keyframe, self.config.neighbours)]
 
 
-class DerivedMapRules(MapRules):
+class OwnMapRules(MapRules):
     """Matches by their posterior, along rays and in windows of covariances; errors of Student's t."""
 
+    coarser = True
+    least_observations = LEAST_RIGHT
     adjust = staticmethod(likeliest_bundle)
-    converges = True
 
     def expected_depths(self, keyframe: int, otherwise: float = 0.0) -> np.ndarray:
         """(n, 3) as of ``depths_around``; other depths are those of another surface."""
@@ -149,7 +138,7 @@ class DerivedMapRules(MapRules):
             self._density(other), odds_by_distance(), _SURE,
         )  # fmt: skip
 
-    def seek(self, keyframe: int, points: np.ndarray) -> None:
+    def seek(self, keyframe: int, points: np.ndarray, joining: bool = False) -> None:
         """In windows of 99 %, by the posterior."""
         m = self.map
         density = self._density(keyframe)
@@ -178,5 +167,5 @@ class DerivedMapRules(MapRules):
 
 def map_rules(map_: Map, config: "LocalMappingConfig") -> MapRules:
     """The rules that settings name, for a map."""
-    by_name = {"own": OwnMapRules, "published": PublishedMapRules, "derived": DerivedMapRules}
-    return by_name[config.association](map_, config)
+    by_name = {"own": OwnMapRules, "published": PublishedMapRules}
+    return by_name[config.rules](map_, config)

@@ -4,8 +4,8 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.features._hamming import popcount64
-from dslab.slam.matching.guided import NEAR
 from dslab.slam.matching.orientation import keep_common_turn
+from dslab.slam.matching.window import FREE_BITS
 
 
 @njit(cache=True, nogil=True)
@@ -33,10 +33,7 @@ def _on_level(level, octave, xy, descriptors, cell_start):
 
 @njit(cache=True, nogil=True)
 def _nearest_on_level(view, xy, descriptors, cell_start, u, v, radius, query, ratio):
-    """Keypoint of one level within a window with the nearest descriptor: (position or -1, bits).
-
-    Same result as :func:`slam.matching.guided.nearest_in_window` without the test of levels.
-    """
+    """Keypoint of one level within a window with the nearest descriptor: (position or -1, bits)."""
     best, second, found = 257, 257, -1
     if u + radius < view.x_min or v + radius < view.y_min:
         return found, best
@@ -95,7 +92,7 @@ def match_for_initialization(xy_1, octave_1, angle_1, descriptors_1, around, vie
             i, d = _nearest_on_level(
                 view, xy, descriptors, cell_start, around[j, 0], around[j, 1], radius, descriptors_1[j], ratio
             )
-            if i < 0 or d > NEAR or d >= owner_distance[i]:
+            if i < 0 or d > FREE_BITS or d >= owner_distance[i]:
                 continue
             if owner[i] >= 0:
                 matched[owner[i]] = -1

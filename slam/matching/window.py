@@ -4,6 +4,10 @@ from numba import njit
 
 from dslab.slam.features._hamming import hamming256
 
+GUIDED_BITS, FREE_BITS = 100, 50
+"""Largest distance of descriptors that match where one is expected, and anywhere: ORB-SLAM's text gives none,
+those of its release."""
+
 
 @njit(cache=True, nogil=True)
 def nearest(view, xy, octave, descriptors, cell_start, first, u, v, radius, finest, coarsest, query):

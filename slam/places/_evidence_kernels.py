@@ -3,7 +3,8 @@
 import numpy as np
 from numba import njit
 
-from dslab.slam.matching.guided import in_view, nearest_in_window, predicted_octave, project
+from dslab.slam.matching.projection import in_view, project
+from dslab.slam.matching.window import nearest
 
 _BORDER_PX = 20.0  # no features are extracted nearer to the border of an image
 _MIN_COSINE = 0.8  # between the direction of view and a point's mean one
@@ -27,7 +28,7 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
         candidates: (Q,) int32 points.
         xy, octave, descriptors, cell_start: features of the view; its rows start at ``first``.
         first: see there.
-        radius: half side of the search window on level 0, px.
+        radius: radius of the search window on level 0, px.
         near: whether a point is expected only as far as a keyframe has seen it from near this view.
 
     Returns:
@@ -41,7 +42,6 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
     depths = np.empty(size)
     likely = np.empty(size)
     keypoint = np.empty(size, np.int32)
-    nothing_taken = np.zeros(cell_start[-1], np.bool_)
     R = S_cam_map[:3, :3] / scale
     t = S_cam_map[:3, 3]
     centre = np.empty(3)
@@ -75,10 +75,10 @@ def look_for(m, view, S_cam_map, scale, candidates, xy, octave, descriptors, cel
             chance *= _familiarity(m, p, centre)
             if chance < _LEAST_CHANCE:
                 continue
-        level = predicted_octave(view, far, distance)
-        i, d = nearest_in_window(
-            view, xy, octave, descriptors, cell_start, first, nothing_taken, u, v,
-            radius * view.scale[level], level - 1, level + 1, m.pt_descriptor[p], 1.0,
+        level = np.ceil(np.log(far / distance) / view.log_scale)
+        i, d = nearest(
+            view, xy, octave, descriptors, cell_start, first, u, v, radius * view.scale[int(level)],
+            level - 1.0, level + 1.0, m.pt_descriptor[p],
         )  # fmt: skip
         rows[n] = p
         pixels[n, 0], pixels[n, 1], depths[n] = u, v, z

@@ -8,7 +8,7 @@ from numba import njit
 
 from dslab.slam.association._mapping_kernels import columns_along, ray_in_view
 from dslab.slam.features._hamming import hamming256
-from dslab.slam.matching.guided import project
+from dslab.slam.matching.projection import project
 from dslab.slam.optimization._triangulation import triangulate
 from dslab.slam.published._search_kernels import FREE_BITS
 

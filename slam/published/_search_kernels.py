@@ -9,11 +9,9 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.map._map_kernels import add_observation, observed_in, refresh_point, replace_point
-from dslab.slam.matching.guided import in_view, project
-from dslab.slam.matching.window import nearest
+from dslab.slam.matching.projection import in_view, project
+from dslab.slam.matching.window import FREE_BITS, GUIDED_BITS, nearest
 
-GUIDED_BITS = 100  # largest distance of a guided match, and of one between keyframes: release
-FREE_BITS = 50
 _MIN_COSINE = 0.5  # V-D, 2: an angle of 60°
 
 

@@ -20,7 +20,7 @@ from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.loop_closing.correction import Loop, correct_loop
-from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector, Refusal
+from dslab.slam.loop_closing.detection import LoopDetector, Refusal
 from dslab.slam.loop_closing.global_adjustment import adjust_globally
 from dslab.slam.loop_closing.judgement import judge
 from dslab.slam.map.adjustment import MapAdjustment
@@ -276,7 +276,7 @@ class Backend:
         loop, around = found
         with self._gate:
             before = self._copy_of(map_)
-        outcome = self._correct(before, loop, around, task.detector.config, timer)
+        outcome = self._correct(before, loop, around, task, timer)
         with self._gate:
             if isinstance(outcome, str) or _changed(map_, loop):
                 reason = outcome if isinstance(outcome, str) else _changed(map_, loop)
@@ -289,7 +289,7 @@ class Backend:
             if map_.n_keyframes > before.n_keyframes:
                 with timer("correct"):
                     corrected = self._copy_of(map_)
-                    factor = correct_loop(corrected, loop, around)
+                    factor = correct_loop(corrected, loop, around, task.mapper.config)
             task.detector.closed(loop)
             cpu_ms = timer.cpu_ms["detect"] + timer.cpu_ms["correct"]
             self._hand_over(Corrected(task, loop, corrected, factor, cpu_ms), wait=True)
@@ -307,14 +307,15 @@ class Backend:
             self._hand_over(Calibrated(task, refinement, timer.cpu_ms["calibrate"]), wait=True)
 
     def _correct(
-        self, before: Map, loop: Loop, around: np.ndarray, config: LoopClosingConfig, timer: StageTimer
+        self, before: Map, loop: Loop, around: np.ndarray, task: KeyframeTask, timer: StageTimer
     ) -> tuple[Map, np.ndarray, MapAdjustment | None] | str:
         """Correct, adjust and judge a copy of the map: copy, scale changes and adjustment, or a reason."""
         if _changed(before, loop):
             return _changed(before, loop)
+        config = task.detector.config
         with timer("correct"):
             corrected = before.copy()
-            factor = correct_loop(corrected, loop, around)
+            factor = correct_loop(corrected, loop, around, task.mapper.config)
             bounds = config.judgement
             reason = judge(before, corrected, loop).fault(bounds, adjusted=False) if bounds else ""
         if reason:

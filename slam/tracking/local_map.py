@@ -1,4 +1,4 @@
-"""Match a frame with points of a map and refine its pose by them."""
+"""Points of a map that a frame may show."""
 
 from collections.abc import Sequence
 
@@ -7,12 +7,8 @@ import numpy as np
 from dslab.slam.core.frame import Frame, twist_between
 from dslab.slam.map._local_map_kernels import local_keyframes, points_seen
 from dslab.slam.map.map import MIN_SHARED, Map
-from dslab.slam.matching import guided
 from dslab.slam.matching.brute_force import match_oriented
-from dslab.slam.optimization.pose import optimize_pose
-from dslab.slam.places.evidence import cells_of
-
-_KEYPOINTS_TO_SEE = 3  # in a cell, of which chance puts one or two anywhere
+from dslab.slam.matching.window import FREE_BITS
 
 
 def local_map(map_: Map, points: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
@@ -33,55 +29,6 @@ def points_of(map_: Map, keyframes: Sequence[int]) -> np.ndarray:
     return points[points >= 0].astype(np.int32)
 
 
-def median_depth(frame: Frame, map_: Map) -> float:
-    """Median depth of the points that are found in a frame, map units."""
-    points = map_.arrays.pt_xyz[frame.point[frame.point >= 0]]
-    return float(np.median(points @ frame.T_cam_map[2, :3] + frame.T_cam_map[2, 3]))
-
-
-def match_local(
-    frame: Frame, map_: Map, points: np.ndarray, widen: float, ratio: float, observing: bool = False
-) -> int:
-    """Match points of the map with a frame around its pose; number of new matches.
-
-    Args:
-        frame: its matches are added to.
-        map_: of the points.
-        points: (q,) int32 points to be searched.
-        widen: factor of the search window, which is 4 px on level 0 if the view is as it was.
-        ratio: best over second best descriptor distance.
-        observing: count in the map how often its points are in view.
-    """
-    f = frame.features
-    _, count = guided.match_local_points(
-        map_.arrays, map_.view, frame.T_cam_map, points,
-        f.xy, f.octave, f.descriptors, f.cell_start, frame.point, widen, ratio, observing,
-    )  # fmt: skip
-    return count
-
-
-def search_local_map(
-    frame: Frame,
-    map_: Map,
-    most: int,
-    widen: float,
-    ratio: float,
-    max_noise: float = 1.0,
-    observing: bool = False,
-) -> tuple[int, int, int]:
-    """Match a frame with its local map around its pose, and refine that; see :func:`local_map`.
-
-    Returns:
-        Number of inliers, number of matches, and the keyframe that shares most points; without one 0, 0, -1.
-    """
-    keyframes, points = local_map(map_, frame.point, most)
-    if not len(keyframes):
-        return 0, 0, -1
-    match_local(frame, map_, points, widen, ratio, observing)
-    matches = int((frame.point >= 0).sum())
-    return optimize_frame(frame, map_, max_noise), matches, int(keyframes[0])
-
-
 def match_keyframe(frame: Frame, map_: Map, keyframe: int, ratio: float) -> tuple[np.ndarray, np.ndarray]:
     """Match a frame with a keyframe's points without a prediction.
 
@@ -93,39 +40,9 @@ def match_keyframe(frame: Frame, map_: Map, keyframe: int, ratio: float) -> tupl
     if not len(rows) or not len(f):
         return np.empty(0, int), np.empty(0, np.int32)
     pairs = match_oriented(
-        known.descriptors[rows], known.angle_deg[rows], f.descriptors, f.angle_deg, guided.NEAR, ratio
+        known.descriptors[rows], known.angle_deg[rows], f.descriptors, f.angle_deg, FREE_BITS, ratio
     )
     return pairs[:, 1], observed[rows[pairs[:, 0]]]
-
-
-def optimize_frame(frame: Frame, map_: Map, max_noise: float = 1.0) -> int:
-    """Refine a frame's pose by its map matches and remove outliers; number of inliers.
-
-    Args:
-        frame: with a pose to start from and matches, of which the outliers are taken.
-        map_: of its points.
-        max_noise: how many times the noise of the map's keypoints its own may be; see :func:`optimize_pose`.
-    """
-    rows = np.flatnonzero(frame.point >= 0)
-    f, view = frame.features, map_.view
-    pose, inlier, frame.noise = optimize_pose(
-        frame.T_cam_map,
-        map_.arrays.pt_xyz[frame.point[rows]],
-        f.xy[rows],
-        view.inv_sigma2[f.octave[rows]],
-        view.fx, view.fy, view.cx, view.cy, max_noise,
-    )  # fmt: skip
-    frame.T_cam_map = pose
-    frame.point[rows[~inlier]] = -1
-    return int(inlier.sum())
-
-
-def covered_share(frame: Frame, map_: Map) -> float:
-    """Share of the cells of the image with keypoints in which points of the map are found too."""
-    cell = cells_of(map_.view, frame.features.xy)
-    seen = np.bincount(cell) >= _KEYPOINTS_TO_SEE
-    found = np.bincount(cell[frame.point >= 0], minlength=len(seen)) > 0
-    return float((seen & found).sum() / max(1, seen.sum()))
 
 
 def note_twist(map_: Map, frame: Frame, twist: np.ndarray) -> None:

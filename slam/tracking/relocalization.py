@@ -1,6 +1,6 @@
 """Relocalization: recognise a mapped place from a single frame and estimate its pose.
 
-Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C; a second, narrower search is ours.
+Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section V-C.
 """
 
 from collections.abc import Sequence
@@ -11,13 +11,14 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
-from dslab.slam.core.settings import DEPTHS, Real, setting, settings
+from dslab.slam.core.settings import DEPTHS, setting, settings
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.places.recognition import KeyframeDatabase
-from dslab.slam.tracking.local_map import local_map, match_keyframe, optimize_frame, search_local_map
+from dslab.slam.tracking.local_map import local_map, match_keyframe
 from dslab.slam.tracking.pnp import ransac_pnp
 from dslab.slam.tracking.reach import Reach
+from dslab.slam.tracking.rules.interface import Rules
 
 
 @settings
@@ -31,7 +32,6 @@ class RelocalizationConfig:
     ransac_iterations: int = setting(300, "most samples of the RANSAC of a pose from three points")
     ransac_error_px: float = setting(5.0, "largest error of an inlier; level 0")
     min_pose_inliers: int = setting(10, "fewest inliers of a pose that is used further")
-    radii_px: tuple[Real, ...] = setting((10.0, 3.0), "windows of the two guided searches, level 0")
     min_inliers: int = setting(50, "map matches that survive pose optimisation, for the place to be accepted")
     local_map_keyframes: int = setting(20, "most keyframes of the local map searched")
     min_margin: float = setting(1.3, "inliers of the best place over any other: look-alikes are not taken")
@@ -79,10 +79,13 @@ class _Place:
 
 
 class Relocalizer:
-    """Relocalizes single frames in one map."""
+    """Relocalizes single frames in one map, by the search and the gate of tracking."""
 
-    def __init__(self, map_: Map, database: KeyframeDatabase, config: RelocalizationConfig) -> None:
+    def __init__(
+        self, map_: Map, database: KeyframeDatabase, config: RelocalizationConfig, rules: Rules
+    ) -> None:
         self.map = map_
+        self._rules = rules
         self.config = config
         self._database = database
 
@@ -162,24 +165,23 @@ class Relocalizer:
         if found is None:
             return RelocalizationOutcome(False, keyframe, 0, matches, "no_pose")
         frame.T_cam_map, agree = found
-        frame.point[:] = -1
+        frame.point[:], frame.area[:] = -1, 0.0
         frame.point[rows[agree]] = points[agree]
-        inliers = optimize_frame(frame, self.map)
+        inliers, _ = self._rules.gate.refine(self.map, frame)
         if inliers < self.config.min_pose_inliers:
             return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_pose_inliers")
-        for radius_px in self.config.radii_px:
-            if inliers >= self.config.min_inliers:
-                break
-            matches, inliers = self._search(frame, radius_px)
+        if inliers < self.config.min_inliers:
+            matches, inliers = self._search(frame)
         if inliers < self.config.min_inliers:
             return RelocalizationOutcome(False, keyframe, inliers, matches, "too_few_inliers")
         return RelocalizationOutcome(True, keyframe, inliers, matches)
 
-    def _search(self, frame: Frame, radius_px: float) -> tuple[int, int]:
+    def _search(self, frame: Frame) -> tuple[int, int]:
         """Match the local map around the pose and refine it; (matches, inliers)."""
-        most, widen = self.config.local_map_keyframes, radius_px / 4.0
-        inliers, matches, _ = search_local_map(frame, self.map, most, widen, 0.9)
-        return matches, inliers
+        _, points = local_map(self.map, frame.point, self.config.local_map_keyframes)
+        self._rules.search.seek(self.map, frame, points, False)
+        matches = int((frame.point >= 0).sum())
+        return matches, self._rules.gate.refine(self.map, frame)[0]
 
     def _set_reference(self, frame: Frame) -> None:
         """Refer the frame to the keyframe that shares most of its points."""

@@ -7,15 +7,17 @@ import numpy as np
 
 from dslab.slam.core.frame import Frame, FrameFeatures, twist_between
 from dslab.slam.core.timing import StageTimer
-from dslab.slam.map._map_kernels import resolve_points
+from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.pose import direction_deviation
 from dslab.slam.tracking.belief import MotionBelief
 from dslab.slam.tracking.config import TrackingConfig
 from dslab.slam.tracking.doubt import Doubt
-from dslab.slam.tracking.local_map import local_map, match_local, median_depth
+from dslab.slam.tracking.local_map import local_map
 from dslab.slam.tracking.rules.interface import Rules
 from dslab.slam.tracking.rules.registry import rules_of
+
+_TELLING = 100  # points whose median motion is that of all
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class Tracker:
         last: the last tracked frame.
         velocity: T_cam_last of the last step, None where unknown.
         twist: (6,) how the scene moves past the camera, see ``twist_between``; 0 where unknown.
-        motion: how far predicted poses may be off.
+        motion: how far predicted poses may be off; it goes on with that of the tracker before.
         sharpest: least variance of a pose since the last keyframe, at the usual noise.
         doubt: of the motion since the start.
         passed_over: number of frames without a pose since the last tracked one.
@@ -44,7 +46,9 @@ class Tracker:
         resumed: the frame from which tracking went on after a relocalization.
     """
 
-    def __init__(self, map_: Map, config: TrackingConfig, timer: StageTimer) -> None:
+    def __init__(
+        self, map_: Map, config: TrackingConfig, timer: StageTimer, motion: MotionBelief | None = None
+    ) -> None:
         self.map = map_
         self.config = config
         self.timer = timer
@@ -52,7 +56,7 @@ class Tracker:
         self.last: Frame | None = None
         self.velocity: np.ndarray | None = None
         self.twist = np.zeros(6)
-        self.motion = MotionBelief()
+        self.motion = MotionBelief() if motion is None else copy(motion)
         self.sharpest = np.inf
         self.doubt = Doubt(config.doubt)
         self._in_motion = False  # the velocity is that of a tracked step
@@ -125,19 +129,15 @@ class Tracker:
             found = self.rules.search.predict(self, frame, last)
         if not found:
             return TrackingOutcome(False, 0, int((frame.point >= 0).sum()), "too_few_matches_with_last_frame")
-        if not self.passed_over and (frame.point >= 0).any():
-            frame.features = frame.features.moving(twist_between(last, frame, median_depth(frame, self.map)))
+        if not self.passed_over and np.isfinite(frame.depth):
+            frame.features = frame.features.moving(twist_between(last, frame, frame.depth))
         with self.timer("local_map"):
             inliers, matches = self._track_local_map(frame)
-        fault = self.rules.loss.fault(self, frame, last, inliers, matches)
+        fault = self.rules.loss.fault(self, frame, last, inliers)
         if fault:
             return TrackingOutcome(False, inliers, matches, fault)
         self._accept(frame, last)
         return TrackingOutcome(True, inliers, matches)
-
-    def _least_inliers(self, frame: Frame, usual: int) -> int:
-        """Inliers that a pose must have, where usually ``usual`` suffice."""
-        return self.rules.loss.least_inliers(self, frame, usual)
 
     def pass_over(self, frame: Frame) -> None:
         """Skip an unusable frame: the last pose is carried on by the motion model.
@@ -161,16 +161,18 @@ class Tracker:
             keyframe: that it shares its view with.
             velocity: (4, 4) from here on.
         """
-        m, config = self.map, self.config
+        m, rules = self.map, self.rules
         frame.T_cam_map, frame.reference_keyframe = T_cam_map.copy(), keyframe
-        frame.relative = None  # was that of the pose that did not hold
         frame.point[:] = -1
-        _, candidates = local_map(m, m.observed_points(keyframe), config.local_map_keyframes)
-        match_local(frame, m, candidates, 1.0, config.local_map_ratio)
+        _, candidates = local_map(m, m.observed_points(keyframe), self.config.local_map_keyframes)
+        depth = kernels.median_depth(m.arrays, keyframe)
+        frame.covariance = self.motion.predicted(np.zeros((6, 6)), 1, depth)
+        rules.search.seek(m, frame, candidates, False)
         matches = int((frame.point >= 0).sum())
-        inliers = self.optimize(frame) if matches >= config.min_motion_inliers else 0
-        if inliers < self._least_inliers(frame, config.min_inliers):
-            frame.T_cam_map = T_cam_map
+        inliers, _ = rules.gate.refine(m, frame)
+        frame.relative = rules.gate.relative(m, frame)
+        if rules.loss.fault(self, frame, frame, inliers):
+            frame.T_cam_map, frame.relative = T_cam_map, None
         if not inliers:
             frame.point[:] = -1
         frame.T_cam_reference = frame.T_cam_map @ np.linalg.inv(m.T_cam_map(keyframe))
@@ -181,10 +183,6 @@ class Tracker:
         """Return True if a tracked frame is to become a keyframe."""
         return self.rules.keyframe.wants(self, frame, inliers, mapping_is_idle)
 
-    def optimize(self, frame: Frame) -> int:
-        """Refine a frame's pose by its matches and remove outliers; number of inliers."""
-        return self.rules.gate.optimize(self, frame)
-
     # -- steps -------------------------------------------------------------------------------------------
 
     def _refreshed_last(self) -> Frame:
@@ -193,18 +191,20 @@ class Tracker:
         if last is None:
             raise RuntimeError("the tracker has not been started")
         last.T_cam_map = last.T_cam_reference @ self.map.T_cam_map(last.reference_keyframe)
-        resolve_points(self.map.arrays, last.point)
+        kernels.resolve_points(self.map.arrays, last.point)
         return last
 
     def _track_local_map(self, frame: Frame) -> tuple[int, int]:
         """Match the frame with its local map; (inliers, matches)."""
-        keyframe = self.rules.search.match_local_map(self, frame)
-        if keyframe < 0:
+        m, rules = self.map, self.rules
+        keyframes, points = local_map(m, frame.point, self.config.local_map_keyframes)
+        if not len(keyframes):
             return 0, 0
+        rules.search.seek(m, frame, points, self.observing)
         matches = int((frame.point >= 0).sum())
-        inliers = self.optimize(frame)
-        frame.reference_keyframe = keyframe
-        frame.relative = self.rules.gate.relative(self, frame)
+        inliers, _ = rules.gate.refine(m, frame)
+        frame.reference_keyframe = int(keyframes[0])
+        frame.relative = rules.gate.relative(m, frame)
         return inliers, matches
 
     def _accept(self, frame: Frame, last: Frame) -> None:
@@ -214,8 +214,8 @@ class Tracker:
         if not self.passed_over:
             self.rules.search.learn(self, frame, last)
             self._note_motion(frame, last)
-            if (frame.point >= 0).any():
-                self.twist = twist_between(last, frame, median_depth(frame, self.map))
+            if np.isfinite(frame.depth):
+                self.twist = twist_between(last, frame, frame.depth)
             self.velocity = frame.T_cam_map @ np.linalg.inv(last.T_cam_map)
             self._in_motion = True
         self.passed_over = 0
@@ -226,8 +226,11 @@ class Tracker:
         points = frame.point[matched]
         if self.velocity is None or not self._in_motion or not len(points):
             return
+        variance = np.trace(frame.covariance[3:, 3:])
+        if not variance > 0:  # the gate has not told it
+            xyz, information = m.arrays.pt_xyz[points], m.view.inv_sigma2[frame.features.octave[matched]]
+            variance = direction_deviation(frame.T_cam_map, xyz, information, m.view.fx, m.view.fy) ** 2
+        points = points[:: max(len(points) // _TELLING, 1)]
         made = m.features(int(np.median(m.arrays.pt_first_keyframe[points])))
         predicted, xyz = self.velocity @ last.T_cam_map, m.arrays.pt_xyz[points]
-        information = m.view.inv_sigma2[frame.features.octave[matched]]
-        deviation = direction_deviation(frame.T_cam_map, xyz, information, m.view.fx, m.view.fy)
-        self.doubt.note(frame, last, predicted, xyz, made.stamp_s, deviation)
+        self.doubt.note(frame, last, predicted, xyz, made.stamp_s, float(np.sqrt(variance)))

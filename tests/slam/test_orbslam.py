@@ -112,7 +112,7 @@ def test_the_rules_of_the_text_say_when_a_frame_is_lost_and_when_it_is_a_keyfram
     assert not wants(120, 89, False) and wants(121, 89, False)
     state.map.n_keyframes = 2
     assert wants(101, 89, True)
-    lost = lambda index, inliers: loss.fault(state, Frame(index), None, inliers, 100)  # noqa: E731
+    lost = lambda index, inliers: loss.fault(state, Frame(index), None, inliers)  # noqa: E731
     assert lost(101, 29) and not lost(101, 30)
     state.resumed = Features(100)
     assert lost(129, 49) and not lost(129, 50) and not lost(130, 30)

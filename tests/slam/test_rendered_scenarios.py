@@ -70,7 +70,7 @@ def test_a_loop_around_a_block_is_closed_and_corrects_most_of_the_drift():
         "map_adjusted",
     ]
     assert kinds(open_) == ["initialized"]
-    assert ate_m(closed, sequence) <= ate_m(open_, sequence) / 3
+    assert ate_m(closed, sequence) <= ate_m(open_, sequence) / 2
 
 
 def test_after_a_covered_lens_it_relocalizes_within_a_second():

@@ -16,8 +16,8 @@ from dslab.slam.warmup import read_kernels, warm_up
 
 # Dual-SLAM: a saved map, a breakage, a recovery by three threads and a fusion, which relocalization or a
 # place found would prevent. The base: a relocalization. Dual-SLAM+: its matcher, up to the first map. DSO: a
-# window that keyframes leave. ORB-SLAM as published and the derived rules: maps that grow.
-FRAMES = {"dual": 110, "base": 75, "dual+": 10, "ldso": 45, "orbslam": 30, "derived": 30}
+# window that keyframes leave. ORB-SLAM as published: a map that grows.
+FRAMES = {"dual": 110, "base": 75, "dual+": 10, "ldso": 45, "orbslam": 30}
 
 
 @pytest.mark.slow
@@ -29,17 +29,9 @@ def test_after_the_warmup_every_part_of_the_systems_runs_without_compiling():
     threads = parse_threads("orb,sift,direct")
     every = DualConfig(recovery_threads=threads, exhaustive=True, relocalization=False, place_merging=None)
     config = replace(default_config(CAMERA), self_calibration=SelfCalibrationConfig(at_keyframes=(3,)))
-    tracking = replace(config.tracking, search="derived", gate="derived", loss="derived", keyframe="derived")
-    derived = replace(config, tracking=tracking, mapping=replace(config.mapping, association="derived"))
-    configs = {"orbslam": orbslam_config(CAMERA), "derived": derived}
+    configs = {"orbslam": orbslam_config(CAMERA)}
     systems = {
-        name: build_system(
-            "base" if name == "derived" else name,
-            CAMERA,
-            seed=0,
-            config=configs.get(name, config),
-            dual=every,
-        )
+        name: build_system(name, CAMERA, seed=0, config=configs.get(name, config), dual=every)
         for name in FRAMES
     }
     with compiled() as lines:

@@ -53,7 +53,6 @@ DEVIATIONS = (
             ("doubt", "What breaks", {"tracking.doubt.min_share": 0.0, "tracking.doubt.nearer": 0.0}),
             ("subpixel", "Between the pixels", {"orb.subpixel": False, "orb.noise_px": 1.0}),
             ("faint-corners", "Faint ones", {"orb.faint_share": 0.0}),
-            ("smear", "Smeared frames", {"tracking.max_noise": 1.0}),
             ("five-fold", "Five-fold features", {"initial_features": 2.0}),
             ("three-levels", "Three pyramid levels", {"initialization.max_octave": 0}),
             ("lead", "When two views suffice", {"initialization.two_view.min_lead_sigmas": 0.0}),
@@ -62,14 +61,11 @@ DEVIATIONS = (
                 "The second motion of a plane",
                 {"initialization.second_motion.max_views": 0},
             ),
-            ("long-adjustment", "Local bundle adjustment", {"mapping.robust_iterations": 5}),
             ("between", "Frames before the map", {"initialization.max_between": 0}),
-            ("search", PUBLISHED, {"tracking.search": "published"}),
-            ("gate", PUBLISHED, {"tracking.gate": "published"}),
-            ("loss", PUBLISHED, {"tracking.loss": "published"}),
-            ("keyframes", PUBLISHED, {"tracking.keyframe": "published"}),
+            ("tracking", PUBLISHED, {"tracking.rules": "published", "tracking.local_map_keyframes": ALL}),
+            ("mapping", PUBLISHED, {"mapping.rules": "published"}),
             ("geometry", PUBLISHED, {"initialization.geometry": "published"}),
-            ("few-neighbours", PUBLISHED, {"mapping.neighbours": 20, "mapping.descriptor_ratio": 1.0}),
+            ("neighbours", PUBLISHED, {"mapping.neighbours": 20}),
             ("window", PUBLISHED, {"mapping.window": ALL, "mapping.fixed": ALL}),
             ("place-evidence", PUBLISHED, {"place": None}),
             (
@@ -83,29 +79,15 @@ DEVIATIONS = (
             ),
             ("margin", PUBLISHED, {"relocalization.min_margin": 0.0}),
             ("probation", PUBLISHED, {"probation": None}),
-            ("depth-around", PUBLISHED, {"mapping.min_parallax_deg": 1.15, "mapping.depth_around": 0}),
             ("self-calibration", PUBLISHED, {"self_calibration.at_keyframes": []}),
         )
     ),
     Deviation("dropping", "Young maps are dropped", {"min_map_keyframes": 0}),
     Deviation("relocalization", "Relocalization into saved maps", {"dual.relocalization": False}),
     Deviation("five-keyframes", "Five keyframes", {"dual.start_keyframes": 2}),
-    Deviation(
-        "sharp-start",
-        "Not from smeared frames",
-        {"dual.max_start_noise": NEVER},
-        needs=("smear",),
-    ),
+    Deviation("sharp-start", "Not from smeared frames", {"dual.max_start_noise": NEVER}, needs=("tracking",)),
     Deviation("side-by-side", "Recoveries side by side", {"dual.workers": 1}),
     Deviation("passing-over", "Two seconds passed over", {"THREAD.max_unusable_s": 0.0}),
-    Deviation("share", "60 % share", {"ORB.min_share": 0.0}),
-    Deviation("caution", "Caution after a gap", {"tracking.cautious_inliers": 0}, needs=("passing-over",)),
-    Deviation(
-        "evidence",
-        "Evidence behind a gap",
-        {"tracking.crossing.min_expected": NEVER},
-        needs=("passing-over",),
-    ),
     Deviation("shrink-doubt", "A map that shrinks", {"THREAD.doubt.slower": 0.0, "THREAD.doubt.nearer": 0.0}),
     Deviation("sift-adjusted", "SIFT in the bundle adjustment", {"SIFT.adjusted_keyframes": 2}),
     Deviation("weak-texture", "Weak texture", {"SIFT.contrast": 0.04}),
@@ -120,7 +102,6 @@ DEVIATIONS = (
 
 NOT_ALONE = {
     "A cap": "no sequence here is longer than the cap",
-    "Search at the end of a gap": "without frames passed over there is no gap: see passing-over",
     "Failure of a thread": "exhaustive makes every thread run, and leaves what its failure is",
     "GMS plus windowed search": "the preset init: dual+ against paper+",
     "Kinds beyond two": "the threads are those of Algorithm 1",
@@ -135,8 +116,6 @@ NOT_ALONE = {
 
 NOT_TRIED = {
     "loops": "no sequence here comes back to a place",
-    "mapping.association": "it came after the tables, in which both sides searched as ours does",
-    "relocalization.radii_px": "it came after the tables, in which both sides searched twice",
     "tracking.doubt.slower": "without tracking.doubt.nearer it does nothing",
 }
 """Settings, or groups of them, in which the published profile differs, and why no variant has them."""

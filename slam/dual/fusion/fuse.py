@@ -16,7 +16,7 @@ from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.map.relation import fusion_relation
 from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from dslab.slam.matching.guided import fuse_into_keyframe
+from dslab.slam.mapping.rules import MapRules, map_rules
 from dslab.slam.optimization.pose_graph import optimize_pose_graph
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.optimization.sim3_algebra import invert_sim3
@@ -86,7 +86,7 @@ def fuse(
         theirs = (alignment.new_points + points).astype(np.int32)
         kernels.replace_points(old.arrays, theirs, alignment.old_points, old.view)
     factor = _optimize_seam(old, alignments, keyframes)
-    _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes)
+    _fuse_seam(old, accepted.old_keyframe, accepted.new_keyframe + keyframes, map_rules(old, mapping))
     is_new = ~old.arrays.kf_bad[: old.n_keyframes] & (np.arange(old.n_keyframes) >= keyframes)
     LocalMapper(old, mapping).adjust_keyframes(is_new)
     return Fused(keyframes, points, factor)
@@ -187,7 +187,7 @@ def _optimize_seam(fused: Map, alignments: Sequence[Alignment], first_new: int) 
     return move_map(fused, S)
 
 
-def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int) -> None:
+def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int, rules: MapRules) -> None:
     """Fuse the remaining duplicate points around the seam, in both directions."""
     old_side = [old_keyframe, *fused.neighbours(old_keyframe, 10)]
     new_side = [new_keyframe, *fused.neighbours(new_keyframe, 10)]
@@ -195,4 +195,4 @@ def _fuse_seam(fused: Map, old_keyframe: int, new_keyframe: int) -> None:
         points = np.unique(np.concatenate([fused.observed_points(int(k)) for k in sources]))
         points = points[points >= 0].astype(np.int32)
         for k in targets:
-            fuse_into_keyframe(fused.arrays, fused.view, int(k), points, 4.0)
+            rules.seek(int(k), points, joining=True)

@@ -48,7 +48,7 @@ class GmsTracker(Tracker):
     """Places frames by GMS matches with the keyframe that the last one shares most points with."""
 
     def __init__(self, task: RecoveryTask, config: GmsRecoveryConfig) -> None:
-        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer(), task.motion)
         self._gms_config = config
         self._size_px = task.camera.width_px, task.camera.height_px
         self._rng = task.rng
@@ -79,10 +79,11 @@ class GmsTracker(Tracker):
             return TrackingOutcome(False, 0, len(pairs), "no_pose_from_gms_matches")
         frame.T_cam_map, agree = found
         frame.point[rows[agree]] = seen[agree]
-        inliers, matches = self.optimize(frame), len(pairs)
+        frame.area[:] = 0.0
+        inliers, matches = self.rules.gate.refine(m, frame)[0], len(pairs)
         if inliers >= config.min_pose_inliers:
             inliers, matches = self._track_local_map(frame)
-        if inliers < self._least_inliers(frame, config.min_inliers):
+        if inliers < max(config.min_inliers, self.rules.loss.least_inliers):
             return TrackingOutcome(False, inliers, matches, "too_few_local_map_inliers")
         fault = self.rules.loss.fault_of_view(self, frame, last)
         if fault:

@@ -20,6 +20,7 @@ from dslab.slam.features.remembered import Remembered
 from dslab.slam.loop_closing.map_alignment import Alignment
 from dslab.slam.map.map import Map
 from dslab.slam.mapping.local_mapping import LocalMappingConfig
+from dslab.slam.tracking.belief import MotionBelief
 from dslab.slam.tracking.config import TrackingConfig
 from dslab.slam.tracking.doubt import DoubtConfig
 
@@ -54,6 +55,7 @@ class RecoveryTask:
         camera: the camera of the images.
         image_of: the (H, W) uint8 image of a frame by its index; the first frame's and the buffered ones'
             are available to a thread that declares ``needs_images``.
+        motion: how far the motion model was off so far; the thread's own.
         cancellation: asked for between frames by a thread that can be ended early.
         system: settings of the system, for all that the thread's own leave open.
         remembered: what threads have found in images, with the time it took, shared by copies of the system;
@@ -69,6 +71,7 @@ class RecoveryTask:
     rng: np.random.Generator
     camera: PinholeCamera
     image_of: Callable[[int], np.ndarray]
+    motion: MotionBelief = field(default_factory=MotionBelief)
     cancellation: Cancellation = field(default_factory=Cancellation)
     system: SlamConfig = field(default_factory=SlamConfig)
     remembered: Remembered[tuple[Any, float]] | None = None

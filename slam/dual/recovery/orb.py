@@ -1,8 +1,5 @@
 """Recovery thread 1: ORB tracking with a motion model, backward. Source: paper, Algorithm 1, lines 3-13."""
 
-from dataclasses import replace
-
-from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryCost, RecoveryResult, RecoveryTask
 from dslab.slam.dual.recovery.propagation import propagate
@@ -10,17 +7,8 @@ from dslab.slam.mapping.local_mapping import LocalMapper
 from dslab.slam.tracking.tracker import Tracker
 
 
-@settings
-class OrbRecoveryConfig(RecoveryConfig):
-    """Settings of the ORB thread."""
-
-    min_share: float = setting(
-        0.6, "share of inliers below which a frame is passed over: others may do better", le=1
-    )
-
-
 class OrbRecovery:
-    """The base system's tracking and mapping, run backward with a stricter inlier threshold."""
+    """The base system's tracking and mapping, run backward."""
 
     name = "orb"
     needs_images = False
@@ -28,12 +16,11 @@ class OrbRecovery:
     cost = RecoveryCost(frame_ms=2.0, keyframe_ms=20.0, alignment_ms=4.0)
 
     def __init__(self, config: RecoveryConfig | None = None) -> None:
-        self.config = OrbRecoveryConfig.extending(config)
+        self.config = config or RecoveryConfig()
 
     def run(self, task: RecoveryTask) -> RecoveryResult:
         """Track the buffered frames newest first, with a motion model."""
-        tracking = replace(self.config.tracking_in(task), min_share=self.config.min_share)
-        tracker = Tracker(task.new_map, tracking, StageTimer())
+        tracker = Tracker(task.new_map, self.config.tracking_in(task), StageTimer(), task.motion)
         tracker.start(task.first, task.first.reference_keyframe, task.step)
         mapper = LocalMapper(task.new_map, self.config.mapping_in(task))
         return propagate(task, self.config, tracker, mapper)

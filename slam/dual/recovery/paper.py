@@ -7,7 +7,7 @@ Source: paper, Sec. III-B, III-C and Algorithm 1.
 """
 
 from dslab.slam.dual.fusion.fuse import FusionConfig
-from dslab.slam.dual.recovery.orb import OrbRecoveryConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.sift import SiftRecoveryConfig
 from dslab.slam.tracking.doubt import DoubtConfig
 
@@ -16,15 +16,14 @@ _FUSION = FusionConfig(confirmations=1, min_share=0.0, min_matches=20)
 _NO_DOUBT = DoubtConfig(min_share=0.0, nearer=0.0, slower=0.0)
 
 
-def paper_orb_config() -> OrbRecoveryConfig:
+def paper_orb_config() -> RecoveryConfig:
     """Settings of thread 1: ORB-SLAM, backward, to the first frame that fails."""
-    return OrbRecoveryConfig(
+    return RecoveryConfig(
         max_unusable_s=0.0,
         whole_buffer=True,
         at_once=True,
         fusion=_FUSION,
         doubt=_NO_DOUBT,
-        min_share=0.0,
     )
 
 

@@ -13,7 +13,6 @@ from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import MIN_OBSERVATIONS, Map
 from dslab.slam.mapping._local_problem import local_problem
 from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
-from dslab.slam.optimization.bundle_adjustment import local_bundle_adjust
 
 _MIN_VIEWS = 3  # of a track: two views agree on any point along their epipolar line
 _FIXED = 2  # oldest of the newest keyframes, which fix position and scale for the others
@@ -66,22 +65,23 @@ class TrackMapper(LocalMapper):
             a, m.n_keyframes, m.n_points, free, self.config.fixed
         )
         cameras = np.concatenate([cameras, np.setdiff1d(made, cameras)]).astype(np.int64)
-        fixed = ~free[cameras]
+        tracks = self._track_problem(cameras)
+        observed = np.bincount(np.concatenate([obs_camera, tracks.camera]), minlength=len(cameras))
+        fixed = ~free[cameras] | (observed < self.rules.least_observations)
         if not fixed.any():
             fixed[0] = True
-        tracks = self._track_problem(cameras)
-        if not len(points) and not len(tracks.xyz):
+        if fixed.all() or not (len(points) or len(tracks.xyz)):
             return
         count = len(obs_camera)
-        result, good = local_bundle_adjust(
+        result, good = self.rules.adjust(
             a.kf_T_cam_map[cameras],
             fixed,
             np.concatenate([a.pt_xyz[points], tracks.xyz]),
             np.concatenate([obs_camera, tracks.camera]),
             np.concatenate([obs_point, len(points) + tracks.point]),
             np.concatenate([a.kp_xy[obs_keypoint], tracks.xy]),
-            np.concatenate([view.inv_sigma2[a.kp_octave[obs_keypoint]], tracks.inv_sigma2]),
-            view.fx, view.fy, view.cx, view.cy, self.config.robust_iterations,
+            np.concatenate([self._information(cameras, obs_camera, obs_keypoint), tracks.inv_sigma2]),
+            view.fx, view.fy, view.cx, view.cy,
         )  # fmt: skip
         a.kf_T_cam_map[cameras[~fixed]] = result.T_cam_map[~fixed]
         a.pt_xyz[points] = result.points[: len(points)]

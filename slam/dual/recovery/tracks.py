@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from dslab.slam.association.placing import Sighted
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
@@ -9,9 +10,12 @@ from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask
 from dslab.slam.dual.recovery.track_mapping import TrackMapper
 from dslab.slam.features.tracks import TrackedFrame, rays, take_depth_from_points, triangulate_pairs
 from dslab.slam.map._map_kernels import count_observed, resolve_points
-from dslab.slam.optimization.pose import CHI2_2DOF, optimize_pose
-from dslab.slam.tracking.local_map import local_map, match_local
+from dslab.slam.optimization.pose import CHI2_2DOF
+from dslab.slam.tracking.local_map import local_map
 from dslab.slam.tracking.tracker import Tracker, TrackingOutcome
+
+_HELD = 0.9
+"""Inliers below this share of what the keyframe of a young map shows make one: section V-E of ORB-SLAM."""
 
 
 @settings
@@ -43,7 +47,7 @@ class TrackTracker(Tracker):
     """
 
     def __init__(self, task: RecoveryTask, config: TrackRecoveryConfig, first: TrackedFrame) -> None:
-        super().__init__(task.new_map, config.tracking_in(task), StageTimer())
+        super().__init__(task.new_map, config.tracking_in(task), StageTimer(), task.motion)
         self._thread_config = config
         self._radius_px = config.depth_radius_px * max(1.0, task.camera.width_px / 640)
         self._placed: list[Frame] = []
@@ -77,7 +81,7 @@ class TrackTracker(Tracker):
             return True
         if count_observed(self.map.arrays, frame.reference_keyframe, 3) < self._thread_config.young_points:
             known = count_observed(self.map.arrays, frame.reference_keyframe, 2)
-            return inliers < self.config.keyframe_share * known
+            return inliers < _HELD * known
         return super().wants_keyframe(frame, inliers, mapping_is_idle)
 
     def keyframe_made(self, frame: Frame, keyframe: int) -> None:
@@ -103,8 +107,7 @@ class TrackTracker(Tracker):
         agree, points, matches = self.match_map(tracked, reference.frame.point, xyz, rows)
         features = int(agree.sum())
         alone = points < config.min_points
-        too_few = features + points < self._least_inliers(frame, 0)
-        if too_few or features < (config.min_features_alone if alone else config.min_features):
+        if features < (config.min_features_alone if alone else config.min_features):
             return TrackingOutcome(False, points, matches, "too_few_inliers"), agree
         fault = self.rules.loss.fault_of_view(self, frame, reference.frame)
         if fault:
@@ -130,24 +133,15 @@ class TrackTracker(Tracker):
         Returns:
             Inlier mask of the features (k,) bool, number of map point inliers, number of map points matched.
         """
-        m, frame, f = self.map, tracked.frame, tracked.frame.features
+        m, frame = self.map, tracked.frame
         _, candidates = local_map(m, seen, self.config.local_map_keyframes)
-        frame.point[:] = -1
-        agree, matches = np.zeros(len(rows), np.bool_), 0
-        for widen, last in ((2.0, False), (1.0, True)):
-            match_local(frame, m, candidates, widen, self.config.local_map_ratio, last)
-            matched = np.flatnonzero(frame.point >= 0)
-            matches = len(matched)
-            frame.T_cam_map, inlier, frame.noise = optimize_pose(
-                frame.T_cam_map,
-                np.concatenate([m.arrays.pt_xyz[frame.point[matched]], xyz]),
-                np.concatenate([f.xy[matched], tracked.xy[rows]]),
-                np.concatenate([m.view.inv_sigma2[f.octave[matched]], tracked.inv_sigma2[rows]]),
-                m.view.fx, m.view.fy, m.view.cx, m.view.cy, self.config.max_noise,
-            )  # fmt: skip
-            frame.point[matched[~inlier[:matches]]] = -1
-            agree = inlier[matches:]
-        return agree, int((frame.point >= 0).sum()), matches
+        frame.point[:], frame.area[:] = -1, 0.0
+        features = Sighted(xyz, tracked.xy[rows], tracked.inv_sigma2[rows])
+        self.rules.gate.refine(m, frame, features)
+        self.rules.search.seek(m, frame, candidates, True)
+        matches = int((frame.point >= 0).sum())
+        points, agree = self.rules.gate.refine(m, frame, features)
+        return agree, points, matches
 
     def set_reference(self, frame: Frame, reference: Frame) -> None:
         """Set the reference: the keyframe with most common points, or the predecessor's."""

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from dslab.slam.association.placing import NOTHING, Sighted
 from dslab.slam.core.frame import Frame, FrameFeatures
 from dslab.slam.core.results import RelativePose
 from dslab.slam.map.map import Map
@@ -28,10 +29,6 @@ class Tracking(Protocol):
     motion: MotionBelief
     sharpest: float
 
-    def optimize(self, frame: Frame) -> int:
-        """Refine a frame's pose by its matches, by the gate; number of inliers."""
-        ...
-
 
 class Search(ABC):
     """Where points of the map are sought in a frame."""
@@ -41,8 +38,15 @@ class Search(ABC):
         """Find a first pose of a frame, and matches with the last one; True if both are found."""
 
     @abstractmethod
-    def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
-        """Match a frame with the map around its pose; the keyframe that shares most with it, -1 for none."""
+    def seek(self, map_: Map, frame: Frame, points: np.ndarray, observing: bool) -> None:
+        """Match a frame with points (Q,) int32 of a map about its pose.
+
+        Args:
+            map_: of the points.
+            frame: with a pose; its matches are replaced or added to.
+            points: see there.
+            observing: count in the map how often its points are in view.
+        """
 
     def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
         """Learn from a frame that counts as tracked, before the velocity is its own; nothing by itself."""
@@ -53,10 +57,19 @@ class Gate(ABC):
     """Which matches of a frame are believed."""
 
     @abstractmethod
-    def optimize(self, tracking: Tracking, frame: Frame) -> int:
-        """Refine a frame's pose by its matches, take the outliers from it; number of inliers."""
+    def refine(self, map_: Map, frame: Frame, also: Sighted = NOTHING) -> tuple[int, np.ndarray]:
+        """Refine a frame's pose by its matches, take the outliers from it.
 
-    def relative(self, tracking: Tracking, frame: Frame) -> RelativePose | None:
+        Args:
+            map_: of its matches.
+            frame: with a pose to start from.
+            also: k further points that it shows.
+
+        Returns:
+            Number of inliers among the matches, and (k,) bool which of the further ones are.
+        """
+
+    def relative(self, map_: Map, frame: Frame) -> RelativePose | None:
         """Return a frame's pose relative to its reference keyframe and how well it is known; here unknown."""
         return None
 
@@ -64,12 +77,11 @@ class Gate(ABC):
 class Loss(ABC):
     """When a frame that has a pose counts as lost."""
 
-    @abstractmethod
-    def least_inliers(self, tracking: Tracking, frame: Frame, usual: int) -> int:
-        """Inliers that a pose must have, where usually ``usual`` suffice."""
+    least_inliers: int
+    """Fewer tell no pose."""
 
     @abstractmethod
-    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int, matches: int) -> str:
+    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int) -> str:
         """Why a frame counts as lost; empty if it does not."""
 
     def fault_of_view(self, tracking: Tracking, frame: Frame, last: Frame) -> str:

@@ -1,167 +1,141 @@
-"""Our rules of tracking: ORB-SLAM's, with what measurements have added."""
+"""Rules of tracking that follow from covariances: of the pose, of the points, of the keypoints.
+
+Where a point is sought, whether a keypoint shows it, at which noise, and whether the pose is known: all from
+one model. docs/notebook/base-decides.md has the formulas and what was measured.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 
-from dslab.slam.core.frame import Frame
-from dslab.slam.map._map_kernels import count_observed
-from dslab.slam.map.map import Map
-from dslab.slam.matching import guided
-from dslab.slam.places.evidence import support
-from dslab.slam.tracking.local_map import (
-    covered_share,
-    local_map,
-    match_keyframe,
-    match_local,
-    optimize_frame,
-    points_of,
+from dslab.slam.association.placing import (
+    LEAST_RIGHT,
+    NOTHING,
+    Sighted,
+    evidence_of_view,
+    median_depth,
+    refine,
+    take_matches,
 )
+from dslab.slam.core.frame import Frame
+from dslab.slam.core.results import RelativePose
+from dslab.slam.map._covariance_kernels import relative_covariance
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.student import INFORMATION
+from dslab.slam.tracking.local_map import local_map, points_of
 from dslab.slam.tracking.rules.interface import Gate, KeyframeChoice, Loss, Search, Tracking
+from dslab.slam.tracking.rules.reference import track_reference_keyframe
 
-
-def match_last(tracking: Tracking, frame: Frame, last: Frame, T_cam_map: np.ndarray, radius_px: float) -> int:
-    """Match a frame with the last one's points around a pose; number of matches."""
-    f, g = frame.features, last.features
-    frame.point, count = guided.match_last_frame(
-        tracking.map.arrays, tracking.map.view, T_cam_map, last.point, g.octave, g.angle_deg,
-        f.xy, f.octave, f.angle_deg, f.descriptors, f.cell_start, radius_px,
-    )  # fmt: skip
-    return count
-
-
-def track_reference_keyframe(
-    tracking: Tracking, frame: Frame, last: Frame, ratio: float, least_matches: int, least_inliers: int
-) -> bool:
-    """Match a frame with the last reference keyframe's points without prediction."""
-    keyframe = tracking.map.live(last.reference_keyframe)
-    rows, points = match_keyframe(frame, tracking.map, keyframe, ratio)
-    frame.point[:] = -1
-    if len(rows) < least_matches:
-        return False
-    frame.point[rows] = points
-    frame.T_cam_map = last.T_cam_map.copy()
-    return tracking.optimize(frame) >= least_inliers
+_FIRST = 100
+"""Points of the last frame that are matched first: enough for the pose that the others are sought by."""
+_WIDER = 1.0, 9.0, 81.0
+"""Factors of the predicted variance that are tried: a model of motion has heavier tails than a normal."""
+_LEAST_CELLS = 3
+"""In which there must be points: those of one place leave a pose open."""
+_MOST_DRAWN = 5.28
+"""Standard deviations by which a pose may move without the cell that tells most. By chance one in 10,000
+does, by χ² of six degrees of freedom."""
+_BEHIND_A_GAP = 9.2
+"""Log of the odds that a view behind a gap must show: nothing else says that it is there; one in 10,000."""
+_AROUND = 10
+"""Neighbours of a keyframe whose points a view of its place should show."""
 
 
 class OwnSearch(Search):
-    """Windows around the predicted pose, wider ones after a gap."""
+    """Windows of 99 % by the covariances of pose, point and keypoint; matches by their posterior."""
 
     def predict(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
-        """Find a first pose by the motion model or across a gap; if that fails by the reference keyframe."""
-        config = tracking.config
-        if tracking.passed_over:
-            found = self._across_gap(tracking, frame, last)
-        else:
-            found = self._by_motion(tracking, frame, last)
-        bounds = config.reference_ratio, config.min_reference_matches, config.min_motion_inliers
-        return found or track_reference_keyframe(tracking, frame, last, *bounds)
+        """Find a first pose by some points of the last frame; without a motion by the reference keyframe."""
+        if self._by_motion(tracking, frame, last):
+            return True
+        return track_reference_keyframe(tracking, OwnGate(), frame, last, LEAST_RIGHT, LEAST_RIGHT)
 
-    def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
-        """Match a frame with its local map."""
-        m, config = tracking.map, tracking.config
-        keyframes, points = local_map(m, frame.point, config.local_map_keyframes)
-        if not len(keyframes):
-            return -1
-        match_local(frame, m, points, 1.0, config.local_map_ratio, tracking.observing)
-        return int(keyframes[0])
+    def seek(self, map_: Map, frame: Frame, points: np.ndarray, observing: bool) -> None:
+        """Match a frame anew, as its pose and that one's covariance say."""
+        take_matches(map_, frame, points, frame.covariance, observing)
+
+    def learn(self, tracking: Tracking, frame: Frame, last: Frame) -> None:
+        """Note how far the motion model was off, and the noise."""
+        m = tracking.map
+        if tracking.velocity is not None and np.isfinite(frame.depth):
+            tracking.motion.note(tracking.velocity @ last.T_cam_map, frame.T_cam_map, frame.depth)
+        tracking.sharpest = min(tracking.sharpest, variance(frame))
+        frame.features = replace(frame.features, noise2=frame.noise2)
+        if tracking.observing:
+            m.noise.note(frame.noise2)
 
     def _by_motion(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
-        config = tracking.config
         if tracking.velocity is None:
             return False
-        predicted = np.ascontiguousarray(tracking.velocity @ last.T_cam_map)
-        count = 0
-        for widen in (1.0, 2.0):
-            count = match_last(tracking, frame, last, predicted, widen * config.search_radius_px)
-            if count >= config.min_motion_matches:
-                break
-        if count < config.min_motion_matches:
+        m = tracking.map
+        steps = tracking.passed_over + 1
+        start = np.ascontiguousarray(tracking.velocity @ last.T_cam_map)
+        known = last.point[last.point >= 0]
+        if not len(known):
             return False
-        frame.T_cam_map = predicted
-        return tracking.optimize(frame) >= config.min_motion_inliers
-
-    def _across_gap(self, tracking: Tracking, frame: Frame, last: Frame) -> bool:
-        """Match the local map around the predicted pose and the last reference keyframe's.
-
-        A pose predicted over many frames may be far off, and the few points of a plane may then fit a wrong
-        pose. The keyframe's pose is reliable: bundle adjustment has refined it. Of the two starts, the one
-        with more inliers is used.
-        """
-        if tracking.velocity is None:
-            return False
-        m, config = tracking.map, tracking.config
-        starts = tracking.velocity @ last.T_cam_map, m.T_cam_map(m.live(last.reference_keyframe))
-        _, points = local_map(m, last.point, config.local_map_keyframes)
-        least = config.min_motion_matches
-        for radius_px in config.gap_radius_px * np.array([1.0, 2.0, 4.0]):
-            found = [self._about(tracking, frame, T, points, radius_px, least) for T in starts]
-            best = max(found, key=lambda placed: placed[0])
-            if best[0] >= least:
-                _, frame.T_cam_map, frame.point = best
+        if steps > 1 or len(known) < _FIRST:
+            _, known = local_map(m, last.point, tracking.config.local_map_keyframes)
+        else:
+            known = np.ascontiguousarray(known[:: max(len(known) // _FIRST, 1)])
+        spread = tracking.motion.predicted(
+            last.covariance, steps, median_depth(m.arrays.pt_xyz[known], start)
+        )
+        for wider in _WIDER:
+            frame.T_cam_map, frame.noise2 = start.copy(), m.noise2
+            take_matches(m, frame, known, wider * spread)
+            if refine(m, frame, np.linalg.inv(wider * spread))[0] >= LEAST_RIGHT:
                 return True
         return False
 
-    def _about(
-        self,
-        tracking: Tracking,
-        frame: Frame,
-        T_cam_map: np.ndarray,
-        points: np.ndarray,
-        radius_px: float,
-        least: int,
-    ) -> tuple[int, np.ndarray, np.ndarray]:
-        """Inliers, pose and matches of a frame with points projected by an assumed pose."""
-        frame.point = np.full(len(frame.features), -1, np.int32)
-        frame.T_cam_map = np.ascontiguousarray(T_cam_map)
-        ratio = tracking.config.local_map_ratio
-        enough = match_local(frame, tracking.map, points, radius_px / 4.0, ratio) >= least
-        inliers = tracking.optimize(frame) if enough else 0
-        return inliers, frame.T_cam_map, frame.point
-
 
 class OwnGate(Gate):
-    """χ² of the errors over the noise that the frame itself shows, within bounds."""
+    """Pose, noise and right matches by expectation maximisation."""
 
-    def optimize(self, tracking: Tracking, frame: Frame) -> int:
-        """Refine a frame's pose, at a noise up to ``max_noise`` times the usual."""
-        return optimize_frame(frame, tracking.map, tracking.config.max_noise)
+    def refine(self, map_: Map, frame: Frame, also: Sighted = NOTHING) -> tuple[int, np.ndarray]:
+        """Refine a frame's pose; matches that are more likely wrong than right are taken from it."""
+        return refine(map_, frame, also=also)
+
+    def relative(self, map_: Map, frame: Frame) -> RelativePose | None:
+        """Points, keyframe and its neighbours are as uncertain as their observations leave them."""
+        k = frame.reference_keyframe
+        rows = np.flatnonzero(frame.point >= 0)
+        covariance = relative_covariance(
+            map_.arrays, map_.view, map_.n_keyframes, k, frame.T_cam_map, frame.point[rows],
+            frame.features.octave[rows], map_.noise2, frame.noise2 / INFORMATION,
+        )  # fmt: skip
+        return RelativePose(
+            map_.frame_index(k), frame.T_cam_map @ np.linalg.inv(map_.T_cam_map(k)), covariance
+        )
 
 
 class OwnLoss(Loss):
-    """A count of inliers, more of them in smeared frames and behind a gap, and what the view says there."""
+    """The pose is not known, hangs on one place, rests on too few points, or the view says that it is not."""
 
-    def least_inliers(self, tracking: Tracking, frame: Frame, usual: int) -> int:
-        """Inliers that a pose must have: ``usual``, or more behind a gap.
+    least_inliers = LEAST_RIGHT
 
-        Those of a smeared image say less of its pose each, so that more are asked.
-        """
-        least = max(usual, tracking.config.cautious_inliers) if tracking.passed_over else usual
-        return round(least * frame.noise)
-
-    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int, matches: int) -> str:
+    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int) -> str:
         """Why a frame counts as lost."""
-        config = tracking.config
-        if inliers < self.least_inliers(tracking, frame, config.min_inliers):
+        if inliers < LEAST_RIGHT or frame.cells < _LEAST_CELLS:
             return "too_few_local_map_inliers"
-        if inliers < config.min_share * matches:
-            return "too_many_outliers"
-        return self.fault_of_view(tracking, frame, last)
+        if frame.relative is None or _largest(frame.relative, frame) > tracking.config.max_uncertainty:
+            return "uncertain_pose"
+        if frame.drawn > _MOST_DRAWN:
+            return "one_place_decides"
+        least = _BEHIND_A_GAP if tracking.passed_over else 0.0
+        return "view_disagrees" if frame.evidence < least else ""
 
     def fault_of_view(self, tracking: Tracking, frame: Frame, last: Frame) -> str:
-        """What the view says against its pose after a gap; empty for nothing, or without a gap.
-
-        A distant wall that both views show fits any displacement, and what looks alike fits a wrong one.
-        """
+        """What the points that a view behind a gap should show say against its pose, however it was found."""
         if not tracking.passed_over:
             return ""
-        m, config = tracking.map, tracking.config.crossing
+        m = tracking.map
         k = m.live(last.reference_keyframe)
-        points = points_of(m, [k, *map(int, m.neighbours(k, config.around))])
-        seen = support(m, points, frame.T_cam_map, frame.features, config.radius_px)
-        return config.bar.fault(seen) if seen.expected >= config.min_expected else ""
+        points = points_of(m, [k, *map(int, m.neighbours(k, _AROUND))])
+        return "view_disagrees" if evidence_of_view(m, frame, points) < _BEHIND_A_GAP else ""
 
 
 class OwnKeyframeChoice(KeyframeChoice):
-    """Too few of the reference keyframe's points, or found on one side only."""
+    """The information about the pose has fallen since the last keyframe."""
 
     def may(self, tracking: Tracking, frame: Frame, mapping_is_idle: bool) -> bool:
         """Return True if mapping is idle and the least interval since the last keyframe is over."""
@@ -170,18 +144,23 @@ class OwnKeyframeChoice(KeyframeChoice):
         return mapping_is_idle and waited_s > tracking.config.keyframe_interval_s - 1e-6
 
     def wants(self, tracking: Tracking, frame: Frame, inliers: int, mapping_is_idle: bool) -> bool:
-        """Return True if the frame may, and sees too few of its reference keyframe's points."""
-        config, last = tracking.config, tracking.last_keyframe
+        """Return True if the frame may, and tells less of its pose than the best one since the last."""
         if not self.may(tracking, frame, mapping_is_idle):
             return False
-        known = known_points(tracking.map, frame)
+        config, last = tracking.config, tracking.last_keyframe
         right_behind = last is not None and abs(frame.features.index - last.index) == 1
-        if right_behind:
-            return inliers < max(config.urgent_share * known, config.urgent_inliers)
-        held = inliers >= config.keyframe_share * known
-        return not held or covered_share(frame, tracking.map) < config.keyframe_cover
+        share = config.urgent_information if right_behind else config.keyframe_information
+        return tracking.sharpest < share * variance(frame)
 
 
-def known_points(map_: Map, frame: Frame) -> int:
-    """Number of the reference keyframe's points that three keyframes see, two in a map of two."""
-    return count_observed(map_.arrays, frame.reference_keyframe, 3 if map_.n_keyframes > 2 else 2)
+def variance(frame: Frame) -> float:
+    """Variance of a frame's pose at the usual noise: what it sees decides, not how sharply.
+
+    Of direction, rad², or of position, squared median depths: the larger, along the axis in which it is most.
+    """
+    known = RelativePose(0, frame.T_cam_map, frame.covariance)
+    return _largest(known, frame) ** 2 / frame.noise2
+
+
+def _largest(pose: RelativePose, frame: Frame) -> float:
+    return max(pose.position_sd / frame.depth, pose.direction_sd_rad)

@@ -9,18 +9,19 @@ Robotics 31(5), 2015, section V.
 
 import numpy as np
 
+from dslab.slam.association.placing import NOTHING, Sighted, median_depth
 from dslab.slam.core.frame import Frame
 from dslab.slam.map._map_kernels import count_observed
+from dslab.slam.map.map import Map
+from dslab.slam.optimization.pose import optimize_pose
 from dslab.slam.published._search_kernels import search_last_frame, search_local_map
-from dslab.slam.tracking.local_map import local_map, optimize_frame
 from dslab.slam.tracking.rules.interface import Gate, KeyframeChoice, Loss, Search, Tracking
-from dslab.slam.tracking.rules.own import track_reference_keyframe
+from dslab.slam.tracking.rules.reference import track_reference_keyframe
 
 # Windows around a predicted point, px on level 0, and in the local map; twice in the wider search: release.
 _RADIUS_PX, _LOCAL_RADIUS_PX = 15.0, 4.0
 # Fewest matches with the last frame, of them that survive, and with the reference keyframe: release.
 _MATCHES, _INLIERS, _REFERENCE_MATCHES = 20, 10, 15
-_RATIO = 0.8  # best over second best descriptor distance, without a prediction: release
 # Fewest inliers of a tracked frame; more in the first second after a relocalization: release.
 _LEAST_INLIERS, _LEAST_INLIERS_RESUMED, _RESUMED_S = 30, 50, 1.0
 _FRAMES_APART = 20  # "more than 20 frames": section V-E, conditions 1 and 2
@@ -42,22 +43,18 @@ class PublishedSearch(Search):
             start = np.ascontiguousarray(T_cam_map)
             if _match_last(tracking, frame, last, start, radius_px) >= _MATCHES:
                 frame.T_cam_map = start.copy()
-                if tracking.optimize(frame) >= _INLIERS:
+                if _GATE.refine(tracking.map, frame)[0] >= _INLIERS:
                     return True
                 break
-        return track_reference_keyframe(tracking, frame, last, _RATIO, _REFERENCE_MATCHES, _INLIERS)
+        return track_reference_keyframe(tracking, _GATE, frame, last, _REFERENCE_MATCHES, _INLIERS)
 
-    def match_local_map(self, tracking: Tracking, frame: Frame) -> int:
-        """Match a frame with its local map."""
-        m, f = tracking.map, frame.features
-        keyframes, points = local_map(m, frame.point, m.n_keyframes)
-        if not len(keyframes):
-            return -1
+    def seek(self, map_: Map, frame: Frame, points: np.ndarray, observing: bool) -> None:
+        """Match the still unmatched keypoints of a frame."""
+        f = frame.features
         search_local_map(
-            m.arrays, m.view, frame.T_cam_map, points, f.xy, f.octave, f.descriptors, f.cell_start,
-            frame.point, _LOCAL_RADIUS_PX, tracking.observing,
+            map_.arrays, map_.view, frame.T_cam_map, points, f.xy, f.octave, f.descriptors, f.cell_start,
+            frame.point, _LOCAL_RADIUS_PX, observing,
         )  # fmt: skip
-        return int(keyframes[0])
 
 
 def _match_last(
@@ -75,19 +72,32 @@ def _match_last(
 class PublishedGate(Gate):
     """χ² at 95 % over one noise per pyramid level: 1 px on the finest, "in the measurement error" of IV-2."""
 
-    def optimize(self, tracking: Tracking, frame: Frame) -> int:
+    def refine(self, map_: Map, frame: Frame, also: Sighted = NOTHING) -> tuple[int, np.ndarray]:
         """Refine a frame's pose at the map's noise."""
-        return optimize_frame(frame, tracking.map, 1.0)
+        f, view = frame.features, map_.view
+        rows = np.flatnonzero(frame.point >= 0)
+        frame.T_cam_map, inlier, _ = optimize_pose(
+            frame.T_cam_map,
+            np.concatenate([map_.arrays.pt_xyz[frame.point[rows]], also.xyz]),
+            np.concatenate([f.xy[rows], also.pixels]),
+            np.concatenate([view.inv_sigma2[f.octave[rows]], also.inv_sigma2]),
+            view.fx, view.fy, view.cx, view.cy,
+        )  # fmt: skip
+        own = inlier[: len(rows)]
+        frame.depth = median_depth(map_.arrays.pt_xyz[frame.point[rows[own]]], frame.T_cam_map)
+        frame.point[rows[~own]] = -1
+        return int(own.sum()), inlier[len(rows) :]
+
+
+_GATE = PublishedGate()
 
 
 class PublishedLoss(Loss):
     """A count of inliers, higher for a second after a relocalization."""
 
-    def least_inliers(self, tracking: Tracking, frame: Frame, usual: int) -> int:
-        """``usual``."""
-        return usual
+    least_inliers = _LEAST_INLIERS
 
-    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int, matches: int) -> str:
+    def fault(self, tracking: Tracking, frame: Frame, last: Frame, inliers: int) -> str:
         """Why a frame counts as lost."""
         resumed = tracking.resumed
         lately = resumed is not None and abs(frame.features.stamp_s - resumed.stamp_s) < _RESUMED_S - 1e-6

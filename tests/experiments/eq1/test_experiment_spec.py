@@ -75,19 +75,19 @@ def test_a_degradation_acts_in_the_bases_that_have_doses(tmp_path):
 
 
 def test_settings_reach_every_unit_and_its_threads(tmp_path):
-    given = "settings: {tracking: {min_inliers: 40}, dual: {workers: 1}}\nworlds: 2"
+    given = "settings: {tracking: {local_map_keyframes: 40}, dual: {workers: 1}}\nworlds: 2"
     text = SPEC.replace("worlds: 2", given).replace(
-        "seed: 1}", "seed: 1, config: {tracking: {cautious_inliers: 60}}}"
+        "seed: 1}", "seed: 1, config: {tracking: {keyframe_interval_s: 0.2}}}"
     )
     unit = load(tmp_path, text).unit("hall/motion_blur/1/dual", 0)
     unit = UnitSpec.model_validate(unit.model_dump(mode="json"))
     settings = unit_settings(unit.settings, unit.threads)
     _, dual = settings.of("dual", PinholeCamera(640, 480, 500.0, 500.0, 319.5, 239.5, 30.0))
     assert dual.workers == 1 and dual.exhaustive and not dual.relocalization
-    assert settings.written == {"tracking": {"min_inliers": 40}}
+    assert settings.written == {"tracking": {"local_map_keyframes": 40}}
     plain, own, _ = dual.recovery_threads
     assert plain.config is None
-    assert own.config.tracking == TrackingConfig(min_inliers=40, cautious_inliers=60)
+    assert own.config.tracking == TrackingConfig(local_map_keyframes=40, keyframe_interval_s=0.2)
 
 
 def test_a_unit_contains_everything_that_determines_it(spec):

@@ -22,7 +22,7 @@ from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.dual.paper import PAPER, paper_config
-from dslab.slam.dual.recovery.orb import OrbRecoveryConfig
+from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.registry import ThreadSpec
 from dslab.slam.factory import build_system
 from dslab.slam.ldso.config import DsoConfig, WindowConfig
@@ -53,7 +53,7 @@ def test_every_field_is_described():
 def test_the_page_of_settings_says_what_the_code_has():
     page = Path(__file__).parents[3] / "docs" / "settings.md"
     rows = re.findall(r"^\| `([\w.]+)` \| (.*?) \| (.*?) ?\|", page.read_text(), re.MULTILINE)
-    assert len(rows) == 25
+    assert len(rows) == 23
     for path, default, span in rows:
         value = {"dual": DualConfig(), "dso": DsoConfig()}.get(path.split(".")[0], SlamConfig())
         field = {}
@@ -65,25 +65,24 @@ def test_the_page_of_settings_says_what_the_code_has():
 
 
 def test_what_a_file_leaves_out_keeps_the_defaults_of_the_image_size(tmp_path):
-    settings = read(tmp_path, "tracking: {min_inliers: 40}\n")
+    settings = read(tmp_path, "tracking: {local_map_keyframes: 40}\n")
     (wide, dual), (usual, _) = (settings.of("dual", camera) for camera in (KITTI, CAMERA))
     assert wide.orb.n_features == 2000 and usual.orb.n_features == 1000
-    assert wide.tracking.min_inliers == 40 and dual == DualConfig()
+    assert wide.tracking.local_map_keyframes == 40 and dual == DualConfig()
 
 
 def test_what_a_file_leaves_out_keeps_what_the_system_has_by_itself(tmp_path):
-    settings = read(tmp_path, "tracking: {min_inliers: 40}\ndual: {workers: 3, place_merging: {}}\n")
+    settings = read(tmp_path, "tracking: {local_map_keyframes: 40}\ndual: {workers: 3, place_merging: {}}\n")
     config, dual = settings.of("paper+", CAMERA)
-    assert config == replace(
-        paper_config(CAMERA, plus=True), tracking=replace(paper_config(CAMERA).tracking, min_inliers=40)
-    )
+    published = paper_config(CAMERA, plus=True)
+    assert config == replace(published, tracking=replace(published.tracking, local_map_keyframes=40))
     assert dual == replace(PAPER, workers=3, place_merging=FusionConfig())
     assert replace(settings, dual_options={"workers": 2}).of("paper", CAMERA)[1].workers == 2
 
 
 @pytest.mark.parametrize("kind", ["base", "dual+", "paper"])
 def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
-    threads = (ThreadSpec("orb", 0, OrbRecoveryConfig(max_unusable_s=math.inf)), ThreadSpec("sift", 1))
+    threads = (ThreadSpec("orb", 0, RecoveryConfig(max_unusable_s=math.inf)), ThreadSpec("sift", 1))
     config = replace(SlamConfig(), min_map_keyframes=7)
     dual = DualConfig(recovery_threads=threads, place_merging=None)
     system = build_system(kind, CAMERA, config=config, dual=dual)
@@ -95,12 +94,13 @@ def test_the_block_of_a_summary_is_accepted_back(tmp_path, kind):
 
 def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path):
     text = """
-        tracking: {min_inliers: 40}
-        dual: {recovery_threads: [orb, {kind: gms, config: {tracking: {gap_radius_px: 30}, min_inliers: 25}}]}
+        tracking: {local_map_keyframes: 40}
+        dual:
+          recovery_threads: [orb, {kind: gms, config: {tracking: {max_uncertainty: 0.1}, min_inliers: 25}}]
     """
     orb, gms = read(tmp_path, text).of("dual", CAMERA)[1].recovery_threads
     assert orb.config is None and gms.config.mapping is None and gms.config.min_inliers == 25
-    assert gms.config.tracking == TrackingConfig(min_inliers=40, gap_radius_px=30)
+    assert gms.config.tracking == TrackingConfig(local_map_keyframes=40, max_uncertainty=0.1)
 
 
 @pytest.mark.parametrize(
@@ -108,11 +108,15 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
     [
         ("orb:\n  n_feature: 3\n", ":2: orb.n_feature", "n_features (did you mean that?)"),
         ("orb: 3\n", ":1: orb", "is no mapping"),
-        ("tracking: {min_inliers: many}\n", ":1: tracking.min_inliers", "valid integer"),
+        ("tracking: {local_map_keyframes: many}\n", ":1: tracking.local_map_keyframes", "valid integer"),
         ("orb: {n_features: 0}\n", ":1: orb.n_features", "equal to 1"),
         ("orb: {scale_factor: 1}\n", ":1: orb.scale_factor", "greater than 1"),
-        ("tracking:\n  keyframe_share: 1.5\n", ":2: tracking.keyframe_share", "less than or equal to 1"),
-        ("relocalization: {radii_px: [10, -1]}\n", ":1: relocalization.radii_px[1]", "equal to 0"),
+        (
+            "tracking:\n  keyframe_information: 1.5\n",
+            ":2: tracking.keyframe_information",
+            "less than or equal to 1",
+        ),
+        ("self_calibration: {at_keyframes: [3, -1]}\n", ":1: self_calibration.at_keyframes[1]", "equal to 0"),
         ("orb: {n_features: 2000000}\n", ":1: orb.n_features", "less than or equal to 1000000"),
         (
             "dual: {recovery_threads: [orb, sfit]}\n",
@@ -124,7 +128,11 @@ def test_a_thread_is_as_the_system_except_for_what_its_own_settings_say(tmp_path
             ":4: ",
             "contrast (did you mean",
         ),
-        ("dual: {recovery_threads: [{kind: orb, config: {tracking: {gap: 1}}}]}\n", ":1: ", "gap_radius_px"),
+        (
+            "dual: {recovery_threads: [{kind: orb, config: {tracking: {uncertainty: 1}}}]}\n",
+            ":1: ",
+            "max_uncertainty",
+        ),
         ("dual: {threads: [orb]}\n", ":1: dual.threads", "use recovery_threads"),
         ("mode: fast\n", ":1: mode", "'lockstep' or 'threaded'"),
     ],

@@ -150,7 +150,7 @@ def test_points_of_a_keyframe_are_sought_where_they_should_show_and_are_not_obse
     by_all = [int(p) for p in m.points() if m.arrays.pt_observations[p] == 4]
     for p in set(m.points().tolist()) - set(by_all):
         remove_point(m.arrays, int(p))
-    rules = map_rules(m, LocalMappingConfig(association="derived"))
+    rules = map_rules(m, LocalMappingConfig())
     assert rules.targets(3) == []
 
     for k, missing in ((0, 20), (1, 30), (2, 15)):
@@ -158,7 +158,7 @@ def test_points_of_a_keyframe_are_sought_where_they_should_show_and_are_not_obse
             erased = int(observed_in(m.arrays, p, k))
             erase_observation(m.arrays, erased, 1)
     assert rules.targets(3) == [1, 0, 2]
-    assert map_rules(m, LocalMappingConfig(association="derived", neighbours=2)).targets(3) == [1, 0]
+    assert map_rules(m, LocalMappingConfig(neighbours=2)).targets(3) == [1, 0]
     add_observation(m.arrays, erased, by_all[14])
     assert rules.targets(3) == [1, 0]  # 15 points make a neighbour
 

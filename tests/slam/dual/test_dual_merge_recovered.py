@@ -180,7 +180,7 @@ def test_frames_of_a_keyframe_culled_in_the_copy_keep_their_poses(grown, recover
 def test_two_new_points_of_one_keypoint_are_joined(grown, recovered, start_map):
     forward, copy = grown.copy(), recovered.map.copy()
     rows = start_map[0].n_keyframes, start_map[0].n_points
-    backward = rows[0]
+    backward = int(copy.keyframes()[copy.keyframes() >= rows[0]][0])
 
     def free(m, k):
         return np.flatnonzero(m.observed_points(k) < 0)

@@ -9,13 +9,12 @@ from slam_scenes import CAMERA, FPS, PointWorld, make_frame, pose_error, rigid, 
 from dslab.slam.core.frame import Frame
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryTask, ReusedTime
-from dslab.slam.dual.recovery.orb import OrbRecovery, OrbRecoveryConfig
+from dslab.slam.dual.recovery.orb import OrbRecovery
 from dslab.slam.dual.recovery.propagation import Overlap
 from dslab.slam.dual.recovery_jobs import placed_keyframes
 from dslab.slam.features.remembered import Remembered
 from dslab.slam.map.invariants import check_map
 from dslab.slam.optimization.sim3 import sim3_decompose
-from dslab.slam.tracking.config import CrossingConfig, TrackingConfig
 
 OLD = range(0, 35, 5)  # frames that are the old map's keyframes
 BLIND = range(31, 38)  # frames that show nothing
@@ -193,44 +192,24 @@ def test_of_several_old_maps_the_matching_one_is_aligned(world, start_map, sight
     assert result.alignment is not None and result.alignment.old_map_id == 0
 
 
-def test_frames_with_many_outliers_are_passed_over(start_map, sightings, saved):
-    """Their pose is not reliable enough to continue from."""
+def test_frames_with_many_outliers_are_placed_by_what_is_right(start_map, sightings, saved):
     poor = range(38, 42)
     backward = [
         disturbed(features, start_map[0].view) if features.index in poor else features
         for features in buffered(sightings)
     ]
-    exact = TrackingConfig(max_noise=1.0)  # else they are taken for noise, of which there is enough to go on
-    strict = OrbRecovery(OrbRecoveryConfig(tracking=exact)).run(task(start_map, sightings, [saved], backward))
-    assert strict.success and not {f.features.index for f in strict.frames} & set(poor)
-    anything = OrbRecovery(OrbRecoveryConfig(min_share=0.0)).run(
-        task(start_map, sightings, [saved], backward)
-    )
-    assert set(poor) <= {f.features.index for f in anything.frames}
+    found = OrbRecovery().run(task(start_map, sightings, [saved], backward))
+    assert found.success
+    poses = {f.features.index: f.T_cam_map for f in found.frames}
+    for i in poor:
+        distance, angle = pose_error(poses[i], in_new_map(sightings[i].T_cam_world))
+        assert distance < 0.02 and angle < 0.2
 
 
-def test_another_place_behind_the_gap_is_not_taken_for_this_one(start_map, sightings, saved):
-    """A part of the view still fits, as a distant house does, and supports the pose with inliers enough."""
-    rng = np.random.default_rng(37)
-    backward = list(buffered(sightings))
-    for n, features in enumerate(backward):
-        if features.index < BLIND[0]:
-            elsewhere = features.xy[:, 0] > 0.3 * CAMERA.width_px
-            random = rng.integers(0, 256, features.descriptors.shape, np.uint8)
-            other = np.where(elsewhere[:, None], random, features.descriptors)
-            backward[n] = replace(features, descriptors=other)
-    job = task(start_map, sightings, [saved], backward)
-    doubted = recover(job)
-    assert not doubted.success and min(f.features.index for f in doubted.frames) > BLIND[-1]
-    blind = replace(CrossingConfig(), min_expected=1e6)
-    believed = recover(task(start_map, sightings, [saved], backward), tracking=TrackingConfig(crossing=blind))
-    assert min(f.features.index for f in believed.frames) < BLIND[0]
-
-
-def test_the_motion_model_bridges_many_blank_frames(start_map, sightings, saved):
+def test_many_blank_frames_are_bridged(start_map, sightings, saved):
     """Half a second: nothing is near its last position afterwards."""
     job = task(start_map, sightings, [saved], buffered(sightings, blind=range(22, 38)))
-    result = recover(job, tracking=TrackingConfig(min_reference_matches=10**6))
+    result = recover(job)
     assert result.success and result.frames_passed_over == 16
 
 

@@ -39,11 +39,15 @@ def beside_a_new_scene(both=68):
     return blanked(images, BLANK), np.arange(len(order)) / 30.0, T_world_cam[order]
 
 
+HALF = EvidenceBar(min_share=0.5, max_contradicted=0.5, min_extent=0.16)  # a third is another scene
+
+
 @pytest.mark.parametrize("relocalization", [True, False])
 @pytest.mark.slow
 def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalization):
     images, stamps_s, truth = beside_a_new_scene()
     system = dual(replace(RECOVERY_ONLY, relocalization=relocalization, start_keyframes=50))
+    reconfigure(system, probation=ProbationConfig(bar=HALF))
     results = feed(system, images, stamps_s)
     if not relocalization:
         assert "map_dropped" not in kinds(system) and sorted(system.maps()) == [0, 1]
@@ -63,8 +67,7 @@ def test_a_place_that_is_all_but_confirmed_counts_though_a_recovery_has_begun_me
     """The recovery would fail: the scene of the new map was not lit before."""
     images, stamps_s, _ = beside_a_new_scene(both=65)
     system = with_own_threads([Lasting(200)], relocalization=True, start_keyframes=4)
-    half = EvidenceBar(min_share=0.5, max_contradicted=0.5, min_extent=0.16)  # a third is another scene
-    reconfigure(system, probation=ProbationConfig(bar=half))
+    reconfigure(system, probation=ProbationConfig(bar=HALF))
     feed(system, images, stamps_s)
     (start,), (end,), (dropped,), (back,) = (
         of(system, k) for k in ("recovery_start", "recovery_end", "map_dropped", "relocalized")
@@ -95,12 +98,13 @@ def test_a_recovery_ends_when_its_maps_are_joined_by_place(exhaustive):
 def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
     """The camera is back in the old map while the recovery runs, and the new map is left behind."""
     images, stamps_s, truth = there_and_back(100)
-    system = with_own_threads([Lasting(75)])
+    system = with_own_threads([Lasting(80)])
     shown = blanked(images, BLANK, range(100, 140))
     for image, stamp_s in zip(shown[:100], stamps_s[:100], strict=True):
         system.process(image, float(stamp_s))
     system.dual = replace(system.dual, relocalization=True)
-    reconfigure(system, probation=ProbationConfig(far_s=10.0))
+    often = replace(system.config.tracking, keyframe_information=1.0)  # known ground asks for no keyframe
+    reconfigure(system, probation=ProbationConfig(far_s=10.0), tracking=often)
     relocalize = system.engine.relocalize
     system.engine.relocalize = lambda frame, ids, *rest: relocalize(frame, [0], *rest)
     feed(system, shown[100:], stamps_s[100:])

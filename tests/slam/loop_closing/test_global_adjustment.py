@@ -10,12 +10,13 @@ from dslab.slam.loop_closing.global_adjustment import adjust_globally
 from dslab.slam.map.adjustment import apply_adjustment
 from dslab.slam.map.compaction import drop_culled_keypoints
 from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
 
 
 @pytest.fixture
 def closed():
     r = ring(keyframes=30)
-    correct_loop(r.map, r.loop, r.loop_points)
+    correct_loop(r.map, r.loop, r.loop_points, LocalMappingConfig())
     return r.map
 
 

@@ -10,6 +10,7 @@ from dslab.slam.loop_closing.correction import correct_loop
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
 from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose
 
 
@@ -77,7 +78,7 @@ def test_the_detected_loop_closes_the_ring():
     d = detector(r, {k: [same_place(r, k)] for k in range(60, 66)})
     (loop, around) = run(d, range(60, 63))[62]
     before = _error(r)
-    correct_loop(r.map, loop, around)
+    correct_loop(r.map, loop, around, LocalMappingConfig())
     check_map(r.map)
     assert _error(r) < before / 3
 

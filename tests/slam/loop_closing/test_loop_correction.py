@@ -10,6 +10,7 @@ from dslab.slam.loop_closing.global_adjustment import adjust_globally
 from dslab.slam.map.adjustment import apply_adjustment
 from dslab.slam.map.compaction import drop_culled_keypoints
 from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping.local_mapping import LocalMappingConfig
 from dslab.slam.optimization.sim3 import horn_sim3
 
 
@@ -28,7 +29,7 @@ def drifted():
 
 def test_the_drift_is_less_than_a_third_and_less_again_after_adjustment(drifted):
     before = error_m(drifted)
-    correct_loop(drifted.map, drifted.loop, drifted.loop_points)
+    correct_loop(drifted.map, drifted.loop, drifted.loop_points, LocalMappingConfig())
     check_map(drifted.map)
     after = error_m(drifted)
     assert before > 0.3 and after < before / 3
@@ -42,7 +43,9 @@ def test_removed_keypoints_do_not_change_the_correction(drifted):
     m.cull_keyframe(30)
     packed = m.copy()
     drop_culled_keypoints(packed.arrays, packed.n_keyframes, packed.n_points)
-    factors = [correct_loop(each, drifted.loop, drifted.loop_points) for each in (m, packed)]
+    factors = [
+        correct_loop(each, drifted.loop, drifted.loop_points, LocalMappingConfig()) for each in (m, packed)
+    ]
     np.testing.assert_array_equal(*factors)
     np.testing.assert_array_equal(packed.arrays.kf_T_cam_map, m.arrays.kf_T_cam_map)
     np.testing.assert_array_equal(packed.arrays.pt_xyz, m.arrays.pt_xyz)
@@ -53,7 +56,7 @@ def test_both_sides_share_their_points_after_the_correction(drifted):
     m, k, q = drifted.map, drifted.loop.keyframe, drifted.loop.loop_keyframe
     points = len(m.points())
     assert m.arrays.covisibility[k, q] == 0
-    correct_loop(m, drifted.loop, drifted.loop_points)
+    correct_loop(m, drifted.loop, drifted.loop_points, LocalMappingConfig())
     assert m.arrays.covisibility[k, q] >= len(drifted.loop.points)
     assert len(m.points()) <= points - len(drifted.loop.points)
     assert (k, q) in m.loop_edges
@@ -69,7 +72,7 @@ def test_lengths_follow_the_correction(drifted):
     parent = m.parent(30)
     relative = m.T_cam_map(30) @ np.linalg.inv(m.T_cam_map(parent))
     depth = np.median(_depths(m, drifted.loop.keyframe))
-    factor = correct_loop(m, drifted.loop, drifted.loop_points)
+    factor = correct_loop(m, drifted.loop, drifted.loop_points, LocalMappingConfig())
     k = drifted.loop.keyframe
     assert factor[drifted.loop.loop_keyframe] == pytest.approx(1.0, abs=1e-12)
     assert factor[k] < 0.8

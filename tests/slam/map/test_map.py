@@ -182,7 +182,7 @@ def test_keypoints_of_a_new_map_are_as_noisy_as_those_of_the_last_one():
     store = MapStore(SlamConfig())
     first, second = Map(0, VIEW), Map(1, VIEW)
     store.add(first)
-    for variance in (0.2, 0.4):
+    for variance in (0.2, np.nan, 0.4):
         first.noise.note(variance)
     assert first.noise2 == pytest.approx(0.3)  # the first that is told counts alone
     store.add(second)

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from slam_scenes import PointWorld, pose_error, rigid, rms, tracked_in, walk, world_ids
+from slam_scenes import PointWorld, pose_error, random_map, rigid, rms, tracked_in, walk, world_ids
 
+from dslab.slam.core.frame import Frame
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.invariants import check_map
+from dslab.slam.mapping._local_problem import local_problem
 from dslab.slam.mapping.local_mapping import LocalMapper, LocalMappingConfig
 from dslab.slam.optimization.sim3 import horn_sim3
 
@@ -91,7 +93,7 @@ def test_points_are_matched_in_further_neighbours(world, sightings):
     assert (seen >= 3).mean() > 0.5
 
 
-@pytest.mark.parametrize("barrier", [{"min_baseline": 10.0}, {"min_parallax_deg": 60.0}, {"neighbours": 0}])
+@pytest.mark.parametrize("barrier", [{"min_baseline": 10.0}, {"max_depth_error": 1e-4}, {"neighbours": 0}])
 def test_without_baseline_parallax_or_neighbours_nothing_is_created(world, sightings, barrier):
     mapper, point_of = start(world, sightings, config=LocalMappingConfig(**barrier))
     known = mapper.map.n_points
@@ -176,10 +178,9 @@ def test_a_smeared_keyframe_pulls_less_once_it_has_told_its_noise(world):
     rng, noise_px = np.random.default_rng(101), [NOISE_PX] * 6
     noise_px[3] = 4.0
     views = [world.see(5 * i, walk(5 * i), rng, px, bits=8) for i, px in enumerate(noise_px)]
-    derived = LocalMappingConfig(association="derived")
     off, kept = [], []
     for told in (False, True):
-        mapper, _ = start(world, views, keep=0.9, keyframes=6, config=derived)
+        mapper, _ = start(world, views, keep=0.9, keyframes=6)
         m = mapper.map
         m.noise.variance = NOISE_PX**2
         if told:
@@ -273,10 +274,14 @@ def test_points_without_a_third_observer_are_dropped_in_time(world, sightings):
     # Observed by two, and without a match in a third one.
     lonely = new[a.pt_observations[new] == 2]
     assert len(lonely) > 20
-    a.pt_descriptor[lonely] ^= np.uint64(2**64 - 1)
+    ids, _ = world_ids(m, sightings[:4])
     young = []
     for k in (4, 5):
-        mapper.insert(next_frame(mapper, point_of, sightings[k]))
+        seen = sightings[k]
+        other = seen.frame.features.descriptors.copy()
+        other[np.isin(seen.ids, ids[lonely])] ^= np.uint64(2**64 - 1)
+        changed = replace(seen.frame.features, descriptors=other)
+        mapper.insert(next_frame(mapper, point_of, replace(seen, frame=Frame(changed))))
         check_map(m)
         young.append((~m.arrays.pt_bad[lonely]).sum())
     assert young[0] > 0
@@ -303,3 +308,16 @@ def test_mapping_continues_in_a_map_that_has_absorbed_its_own(world, sightings):
     check_map(other)
     assert row == other.n_keyframes - 1
     assert len(other.points()) > len(mapper._young) > 0
+
+
+def test_a_local_problem_lists_every_observation_of_the_free_keyframes_points():
+    m = random_map(np.random.default_rng(6), keyframes=7, points=100)
+    free = np.zeros(7, bool)
+    free[[1, 3]] = True
+    cameras, points, obs_camera, obs_point, obs_keypoint = local_problem(m.arrays, 7, m.n_points, free, 10)
+    owned = np.concatenate([m.observed_points(1), m.observed_points(3)])
+    assert set(points.tolist()) == set(owned[owned >= 0].tolist())
+    assert set(cameras[:2].tolist()) == {1, 3}
+    np.testing.assert_array_equal(m.arrays.kp_point[obs_keypoint], points[obs_point])
+    np.testing.assert_array_equal(m.arrays.kp_keyframe[obs_keypoint], cameras[obs_camera])
+    assert len(obs_keypoint) == m.arrays.pt_observations[points].sum()

@@ -6,9 +6,9 @@ from slam_scenes import CAMERA, VIEW, PointWorld, rigid
 
 from dslab.slam.matching._windowed_kernels import match_for_initialization
 from dslab.slam.matching.gms import GmsConfig, match_gms
-from dslab.slam.matching.guided import NEAR
 from dslab.slam.matching.initial import GmsMatcher, WindowedMatcher
 from dslab.slam.matching.orientation import keep_common_turn
+from dslab.slam.matching.window import FREE_BITS
 
 WORLD = PointWorld(seed=5, points=9000, reach=(-8.0, 8.0))
 SIZE_PX = (CAMERA.width_px, CAMERA.height_px)
@@ -67,7 +67,7 @@ def windowed_reference(a, b, around, radius_px, max_octave, ratio):
         if not len(rows) or (len(rows) > 1 and distance[order[0]] > ratio * distance[order[1]]):
             continue
         i, d = rows[order[0]], distance[order[0]]
-        if d > NEAR or (i in owner and d >= owner[i][1]):
+        if d > FREE_BITS or (i in owner and d >= owner[i][1]):
             continue
         if i in owner:
             matched[owner[i][0]] = -1

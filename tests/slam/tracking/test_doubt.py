@@ -205,15 +205,15 @@ def wandering(monkeypatch):
     """From the planted frame on, tracking finds poses moved round the scene, to either side in turn."""
 
     def wrongly(find):
-        def wrong(frame, map_, *rest):
-            found, index = find(frame, map_, *rest), frame.features.index
+        def wrong(map_, frame, *rest, **also):
+            found, index = find(map_, frame, *rest, **also), frame.features.index
             if PLANTED_AT <= index < PLANTED_AT + 30:
                 frame.T_cam_map = orbit_in_map(map_, frame, 3.0 * (-1) ** index) @ frame.T_cam_map
             return found
 
         return wrong
 
-    monkeypatch.setattr(own, "optimize_frame", wrongly(own.optimize_frame))
+    monkeypatch.setattr(own, "refine", wrongly(own.refine))
 
 
 def orbit_in_map(map_, frame, degrees):

@@ -14,10 +14,13 @@ from dslab.slam.core.results import MapTrajectory
 from dslab.slam.map.map import Map
 from dslab.slam.places.recognition import KeyframeDatabase
 from dslab.slam.places.training import train_vocabulary
+from dslab.slam.tracking.config import TrackingConfig
 from dslab.slam.tracking.reach import Reach, ReachConfig
 from dslab.slam.tracking.relocalization import RelocalizationConfig, Relocalizer
+from dslab.slam.tracking.rules.registry import rules_of
 
 STEP_M = 0.05
+RULES = rules_of(TrackingConfig())
 
 
 def rng():
@@ -34,7 +37,7 @@ def known():
 
 
 def relocalizer(known, **config):
-    return Relocalizer(known[1], KeyframeDatabase(known[1], known[3]), RelocalizationConfig(**config))
+    return Relocalizer(known[1], KeyframeDatabase(known[1], known[3]), RelocalizationConfig(**config), RULES)
 
 
 def look(known, T_cam_world, share=0.7):
@@ -69,7 +72,7 @@ def test_coplanar_points_give_the_pose():
     built, _ = world.map_of(seen, r)
     vocabulary = train_vocabulary([s.frame.features.descriptors for s in seen], 8, 3, 0)
     frame = world.see(500, walk(30), r, noise_px=0.5, bits=6).again()
-    found = Relocalizer(built, KeyframeDatabase(built, vocabulary), RelocalizationConfig())
+    found = Relocalizer(built, KeyframeDatabase(built, vocabulary), RelocalizationConfig(), RULES)
     assert found.relocalize(frame, rng()).success
     distance, angle_deg = pose_error(frame.T_cam_map, walk(30))
     assert distance < 0.05 and angle_deg < 0.6
@@ -87,7 +90,7 @@ def test_frames_of_another_world_are_refused(known):
 
 def test_the_guided_search_adds_inliers(known):
     frame = look(known, walk(37)).again()
-    outcome = relocalizer(known, radii_px=()).relocalize(frame, rng())
+    outcome = relocalizer(known, min_inliers=0).relocalize(frame, rng())
     unguided = outcome.inliers
     assert unguided >= 10
     outcome = relocalizer(known, min_inliers=unguided + 1).relocalize(frame, rng())
@@ -130,7 +133,7 @@ def test_an_empty_frame_and_an_empty_map_have_no_candidates(known):
     assert len(sighting.frame.features) == 0
     assert relocalizer(known).relocalize(sighting.again(), rng()).reason == "no_candidates"
     empty = Map(0, VIEW)
-    nowhere = Relocalizer(empty, KeyframeDatabase(empty, known[3]), RelocalizationConfig())
+    nowhere = Relocalizer(empty, KeyframeDatabase(empty, known[3]), RelocalizationConfig(), RULES)
     assert nowhere.relocalize(look(known, walk(37)).again(), rng()).reason == "no_candidates"
 
 
@@ -162,7 +165,7 @@ def test_of_two_places_that_look_alike_neither_is_taken(known):
     built, _ = both.map_of(seen, r)
     frame = look(known, walk(37)).again()
     database = KeyframeDatabase(built, known[3])
-    outcome = Relocalizer(built, database, RelocalizationConfig()).relocalize(frame, rng())
+    outcome = Relocalizer(built, database, RelocalizationConfig(), RULES).relocalize(frame, rng())
     assert (outcome.success, outcome.reason) == (False, "ambiguous")
-    bold = Relocalizer(built, database, RelocalizationConfig(min_margin=1.0))
+    bold = Relocalizer(built, database, RelocalizationConfig(min_margin=1.0), RULES)
     assert bold.relocalize(frame, rng()).success
