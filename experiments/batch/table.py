@@ -15,6 +15,7 @@ from dslab.experiments.result_folder import TRUTH_FILE
 from dslab.experiments.runs.ending import EndKind
 
 PAIRS_FILE = "pairs.csv"
+_DRAWS = 4000
 MEDIANS = (
     "keyframe_ate_m", "ate_m", "rpe_m", "completeness", "scale_first_over_last", "cpu_ms_median",
     "cpu_s", "wall_s",
@@ -92,6 +93,44 @@ def pairs(rows: pd.DataFrame, folder: Path) -> pd.DataFrame:
             for row, other in others
         ]
     return pd.DataFrame(found)
+
+
+def beside_first(found: pd.DataFrame) -> pd.DataFrame:
+    """Sum up :func:`pairs`: every system over the first one.
+
+    Returns:
+        Per ``system`` and ``figure``: ``runs`` in which the ratio is known, their ``median``, ``min`` and
+        ``max``, and the ``mean`` over the sequences with its bounds of 95 %, ``low`` and ``high``. Every
+        sequence with its dose weighs the same. Means of ATE and CPU are geometric, that of frames is
+        arithmetic. The bounds are of a bootstrap that draws sequences, and runs in each.
+    """
+    rows: list[dict[str, Any]] = []
+    for system, own in found.groupby("system", sort=False):
+        for figure, over, under, log in (
+            ("frames in the main map", "ate_poses", "first_ate_poses", False),
+            ("ATE on common frames", "common_ate_m", "first_common_ate_m", True),
+            ("CPU of tracking", "cpu_ms_median", "first_cpu_ms_median", True),
+        ):
+            ratio = (own[over].astype(float) / own[under].astype(float)).replace([np.inf, 0.0], np.nan)
+            known = own[["source", DOSE]].assign(value=np.log(ratio) if log else ratio).dropna(subset="value")
+            groups = [g.value.to_numpy() for _, g in known.groupby(["source", DOSE], dropna=False)]
+            mean, low, high = np.exp(_mean_of(groups)) if log else _mean_of(groups)
+            ratio = ratio.dropna()
+            row = {"runs": len(ratio), "median": ratio.median(), "mean": mean, "low": low, "high": high}
+            rows.append({"system": system, "figure": figure, **row, "min": ratio.min(), "max": ratio.max()})
+    return pd.DataFrame(rows)
+
+
+def _mean_of(groups: list[np.ndarray]) -> np.ndarray:
+    """Mean of the means of groups of runs, and bounds of 95 %; NaN without any."""
+    if not groups:
+        return np.full(3, np.nan)
+    rng, n = np.random.default_rng(0), len(groups)
+    drawn = [
+        np.mean([rng.choice(groups[g], len(groups[g])).mean() for g in rng.integers(n, size=n)])
+        for _ in range(_DRAWS)
+    ]
+    return np.array([np.mean([g.mean() for g in groups]), *np.quantile(drawn, (0.025, 0.975))])
 
 
 def _compared(own: PosePairs, first: PosePairs) -> dict[str, Any]:

@@ -182,16 +182,13 @@ def _rescue_row(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _beside(beside: "pd.DataFrame") -> Iterator[dict[str, Any]]:
-    """Every system over the first one: quantiles over the runs of all sequences."""
-    for system, own in beside.groupby("system", sort=False):
-        ratios = {
-            "frames in the main map": own.ate_poses / own.first_ate_poses,
-            "ATE on common frames": own.common_ate_m / own.first_common_ate_m,
-            "CPU of tracking": own.cpu_ms_median / own.first_cpu_ms_median,
-        }
-        for name, ratio in ratios.items():
-            known = ratio.replace([float("inf")], float("nan")).dropna()
-            of_runs = ("median", "mean", "min", "max")
-            figures = {of: number(getattr(known, of)() if len(known) else None) for of in of_runs}
-            yield {"": f"{system}, {name}", "runs": len(known), **figures}
+    """Every system over the first one: quantiles over all runs, the mean over the sequences."""
+    from dslab.experiments.batch.table import beside_first
+
+    for system, own in beside_first(beside).groupby("system", sort=False):
+        for row in own.to_dict("records"):
+            of_runs = ("median", "mean", "low", "high", "min", "max")
+            figures = {of: number(row[of] if row["runs"] else None) for of in of_runs}
+            figures["95 % of the mean"] = f"{figures.pop('low')} to {figures.pop('high')}"
+            yield {"": f"{system}, {row['figure']}", "runs": row["runs"], **figures}
         yield {}

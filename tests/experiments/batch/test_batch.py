@@ -23,7 +23,7 @@ from dslab.experiments.batch import run as batch_run
 from dslab.experiments.batch.rows import COLUMNS, figures_of, typed
 from dslab.experiments.batch.run import CSV_FILE, run_batch
 from dslab.experiments.batch.spec import BatchSpec, read_batch
-from dslab.experiments.batch.table import pairs, sums
+from dslab.experiments.batch.table import beside_first, pairs, sums
 from dslab.experiments.evaluation.intact_map import judge_intact
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import LEDGER_FILE, sole_driver
@@ -128,6 +128,22 @@ def test_systems_stand_beside_the_first_one_on_the_frames_that_both_have_placed(
     place.write_text("# nothing\n")
     (row,) = pairs(rows, tmp_path / "b").to_dict("records")
     assert (row["first_ate_poses"], row["common_poses"], row["first_common_ate_m"]) == (0, 0, None)
+
+
+def test_sequences_weigh_the_same_in_the_mean_over_the_first_system():
+    """Twice the error in four runs of one, half of it in one run of another."""
+    found = pd.DataFrame(
+        {
+            "source": ["a"] * 4 + ["b"] * 2, "dose": None, "system": "copy", "ate_poses": 10,
+            "first_ate_poses": [10] * 5 + [20], "common_ate_m": [2.0] * 4 + [0.5, None],
+            "first_common_ate_m": 1.0, "cpu_ms_median": 3.0, "first_cpu_ms_median": 1.0,
+        }
+    )  # fmt: skip
+    frames, ate, cpu = beside_first(found).to_dict("records")
+    assert (ate["runs"], ate["median"], ate["min"], ate["max"]) == (5, 2.0, 0.5, 2.0)
+    assert (ate["mean"], ate["low"], ate["high"]) == pytest.approx((1.0, 0.5, 2.0))
+    assert (cpu["mean"], cpu["low"], cpu["high"]) == pytest.approx((3.0, 3.0, 3.0))
+    assert frames["mean"] == pytest.approx((1 + 0.75) / 2)
 
 
 def test_the_start_varies_and_the_stress_lies_on_the_same_frames(folder, tmp_path, in_this_process):
