@@ -21,8 +21,8 @@ Real = Annotated[float, Field(ge=0, le=MOST)]
 
 @dataclass_transform(frozen_default=True)
 def settings(cls: type[T]) -> type[T]:
-    """Make a class of settings: a frozen dataclass that refuses values of a wrong type or out of bounds."""
-    frozen: Any = dataclass(frozen=True, config=ConfigDict(strict=True))
+    """Make a class of settings: a frozen dataclass that refuses unknown names, wrong types and bounds."""
+    frozen: Any = dataclass(frozen=True, config=ConfigDict(strict=True, extra="forbid"))
     return frozen(cls)
 
 
