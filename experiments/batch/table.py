@@ -111,7 +111,9 @@ def beside_first(found: pd.DataFrame) -> pd.DataFrame:
             ("ATE on common frames", "common_ate_m", "first_common_ate_m", True),
             ("CPU of tracking", "cpu_ms_median", "first_cpu_ms_median", True),
         ):
-            ratio = (own[over].astype(float) / own[under].astype(float)).replace([np.inf, 0.0], np.nan)
+            ratio = (own[over].astype(float) / own[under].astype(float)).replace(np.inf, np.nan)
+            if log:
+                ratio = ratio.replace(0.0, np.nan)
             known = own[["source", DOSE]].assign(value=np.log(ratio) if log else ratio).dropna(subset="value")
             groups = [g.value.to_numpy() for _, g in known.groupby(["source", DOSE], dropna=False)]
             mean, low, high = np.exp(_mean_of(groups)) if log else _mean_of(groups)

@@ -1,7 +1,7 @@
 """Rules of tracking that follow from covariances: of the pose, of the points, of the keypoints.
 
 Where a point is sought, whether a keypoint shows it, at which noise, and whether the pose is known: all from
-one model. docs/notebook/base-decides.md has the formulas and what was measured.
+one model. docs/base-decides.md has the formulas.
 """
 
 from dataclasses import replace
