@@ -21,6 +21,11 @@ MIN_DEPTH = 1e-6
 # Cost of an observation behind its camera: a hundred sigma, so that no step gains by moving it there.
 _BEHIND_CHI2 = 1e4
 _MOST_APPROACH = 0.9  # share of its inverse depth that a point may lose in one step
+_ARRIVED = 0.01
+"""By Student's t a single wrong observation may go on leaving for fifty steps, with no say in the poses. So what
+counts is the last step of all free poses, squared in units of their covariance: a tenth of a deviation."""
+_LITTLE_DAMPING = 1e-3
+"""With more of it a step is short by its damping."""
 
 
 @njit(cache=True, nogil=True)
@@ -199,12 +204,11 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
     )  # fmt: skip
     room = (
         skyline(start, camera, slot, n_free), np.empty((n_points, 3, 3)), np.zeros(n_points, np.bool_),
-        np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free), np.empty((n_points, 3)),
+        np.empty((6 * n_free, 6 * n_free)), np.empty(6 * n_free), np.empty((n_points, 3)), np.empty(1),
     )  # fmt: skip
     observed = start, camera, pixels, weights, intrinsics, huber2
     initial = robust_cost(T, points, *observed)
-    # Reweighting converges slowly: a small gain says less there. Student's loss is a log-likelihood, of which
-    # a thousandth tells nothing. A hundredth was too much along walls: docs/notebook/base-decides.md.
+    # Reweighting converges slowly: a small gain says less there. Of a log-likelihood a thousandth tells nothing.
     tolerance = 1e-7 if huber2 == 0.0 else 1e-9 if huber2 > 0.0 else 1e-3 / max(initial, 1.0)
     problem = T, points, T.copy(), points.copy(), observed, slot, model, room
     cost, _ = minimise(_linearise, _propose, _accept, problem, initial, iterations, 1e-4, tolerance)
@@ -222,11 +226,14 @@ def _propose(problem, damping):
     T, points, trial_T, trial_points, observed, slot, model, room = problem
     start, camera, _, _, _, _ = observed
     U, V, W, gradient_c, gradient_p = model
-    first, V_inv, held, S, step_c, step_p = room
+    first, V_inv, held, S, step_c, step_p, moved2 = room
     eliminate_points(*model, start, camera, slot, damping, first, V_inv, held, S, step_c)
     if not factor(S, first):
         return np.inf, np.inf
-    solve(S, first, step_c)
+    step = step_c.copy()  # the right side, before it is solved
+    solve(S, first, step)
+    moved2[0] = step @ step_c if len(step) and damping < _LITTLE_DAMPING else np.inf
+    step_c[:] = step
     back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p)
     predicted = predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held)
     for k in range(T.shape[0]):
@@ -238,5 +245,6 @@ def _propose(problem, damping):
 
 @njit(inline="always")
 def _accept(problem):
-    T, points, trial_T, trial_points, _, _, _, _ = problem
+    T, points, trial_T, trial_points, observed, _, _, room = problem
     T[:], points[:] = trial_T, trial_points
+    return observed[-1] < 0.0 and room[-1][0] <= _ARRIVED

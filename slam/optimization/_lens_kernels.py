@@ -318,3 +318,4 @@ def _propose(problem, damping):
 def _accept(problem):
     (T, points, k), (trial_T, trial_points, trial_k), _, _, _, _, _, _ = problem
     T[:], points[:], k[:] = trial_T, trial_points, trial_k
+    return False

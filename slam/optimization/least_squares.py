@@ -25,7 +25,7 @@ def minimise(linearise, propose, accept, problem, cost, steps, damping, toleranc
         linearise: ``(problem)``, writes the model of Gauss and Newton about the state.
         propose: ``(problem, damping)``, writes a trial state; its cost, infinite where there is none, and
             the gain that the model predicts.
-        accept: ``(problem)``, makes the trial state the state.
+        accept: ``(problem)``, makes the trial state the state; whether that is near enough to the minimum.
         problem: see above.
         cost: of its state.
         steps: most that are tried.
@@ -43,10 +43,10 @@ def minimise(linearise, propose, accept, problem, cost, steps, damping, toleranc
         trial_cost, predicted = propose(problem, damping)
         gain = cost - trial_cost
         if gain >= 0.0:
-            accept(problem)
+            arrived = accept(problem)
             kept += 1
             fresh = False
-            converged = gain <= tolerance * cost
+            converged = arrived or gain <= tolerance * cost
             cost = trial_cost
             if converged:
                 break
@@ -103,3 +103,4 @@ def accept_trial(problem):
     """Make the trial state the state of a problem of few unknowns, and its model the model."""
     state, trial, _, H, gradient, trial_H, trial_gradient, _, _, _ = problem
     state[:], H[:], gradient[:] = trial, trial_H, trial_gradient
+    return False
