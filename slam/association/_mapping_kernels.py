@@ -34,7 +34,7 @@ _LEAST_DEPTH = 1e-3
 """In the second camera, over that in the first."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def depths_around(m, view, keyframe):
     """Where the points around each free keypoint of a keyframe say that its own is.
 
@@ -86,7 +86,7 @@ def depths_around(m, view, keyframe):
     return found
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def points_along_rays(
     m, view, keyframe, neighbour, noise2, min_depth, around, max_error, density, odds, least
 ):
@@ -149,7 +149,7 @@ def points_along_rays(
     return rows_1[:n].copy(), rows_2[:n].copy(), points[:n].copy()
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _error(view, d, t, inverse, noise_a, noise_b):
     """Standard deviation of an inverse depth over itself, from two keypoints; infinite behind a camera.
 
@@ -167,7 +167,7 @@ def _error(view, d, t, inverse, noise_a, noise_b):
     return np.sqrt(noise_a / (z * z) + noise_b) / max(along * inverse, 1e-12)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def ray_in_view(view, d, t, min_depth):
     """Where a ray of one camera is seen by another one.
 
@@ -190,7 +190,7 @@ def ray_in_view(view, d, t, min_depth):
     return P_u, P_v, W_u, W_v, nearest / (d[2] + nearest * t[2]), nearest
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def columns_along(view, r, P_u, P_v, W_u, W_v, s_end, margin):
     """First and last column of cells of a row that a band about the segment P + s W, s to s_end, crosses.
 
@@ -211,7 +211,7 @@ def columns_along(view, r, P_u, P_v, W_u, W_v, s_end, margin):
     return _column(view, min(u_0, u_1) - margin), _column(view, max(u_0, u_1) + margin)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _along_ray(
     view, kp_xy, kp_octave, kp_descriptor, cells, first, free, octave, descriptor, d, t, length, noise2, own,
     min_depth, expected, scale, elsewhere, max_error, density, odds, least,
@@ -221,6 +221,7 @@ def _along_ray(
     W = np.sqrt(W_u * W_u + W_v * W_v)
     if W < 1e-9:
         return -1
+    along_u, along_v = W_u / W, W_v / W
     margin = BAND * np.sqrt(2.0 * noise2 / view.inv_sigma2[-1])
     total, best, found = 1.0 - _AGAIN, 0.0, -1
     for r in range(view.rows):
@@ -232,9 +233,11 @@ def _along_ray(
                 continue
             b = first + i
             du, dv = kp_xy[b, 0] - P_u, kp_xy[b, 1] - P_v
-            off = (W_u * dv - W_v * du) / W
-            s = (W_u * du + W_v * dv) / (W * W)
-            if abs(off) > margin or not 0 < s <= s_end:
+            off = along_u * dv - along_v * du
+            if abs(off) > margin:
+                continue
+            s = (along_u * du + along_v * dv) / W
+            if not 0 < s <= s_end:
                 continue
             inverse = s * d[2] / (1.0 - s * t[2])
             z = d[2] + inverse * t[2]
@@ -254,7 +257,8 @@ def _along_ray(
                 * _of_inverse_depth(inverse, expected, scale, elsewhere, nearest)
                 / (W * d[2] / (z * z))
             )
-            likely *= _AT_ZERO / np.sqrt(variance) * (1.0 + 0.5 * off * off / variance) ** -2.5
+            tails = 1.0 + 0.5 * off * off / variance
+            likely *= _AT_ZERO / (tails * tails * np.sqrt(variance * tails))
             likely *= (
                 of_octave(apart) * odds[hamming256(descriptor, kp_descriptor[b])] / density[kp_octave[b]]
             )
@@ -264,25 +268,25 @@ def _along_ray(
     return found if best >= least * total else -1
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _column(view, u):
     """Column of cells in which a keypoint lies; the outer ones hold what lies beyond them."""
     return int(min(max((u - view.x_min) / view.cell, 0.0), view.cols - 1.0))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _of_inverse_depth(inverse, expected, scale, elsewhere, nearest):
     """Density of an inverse depth: by the points around, or anywhere up to the nearest."""
     if expected <= 0:
         return 1.0 / nearest
     z = np.log(inverse * expected)
-    same, other = (z / scale) ** 2, (z / _ELSEWHERE) ** 2
-    density = (1.0 - elsewhere) / (scale * (1.0 + 0.5 * same) ** 1.5)
-    density += elsewhere / (_ELSEWHERE * (1.0 + 0.5 * other) ** 1.5)
+    same, other = 1.0 + 0.5 * (z / scale) ** 2, 1.0 + 0.5 * (z / _ELSEWHERE) ** 2
+    density = (1.0 - elsewhere) / (scale * same * np.sqrt(same))
+    density += elsewhere / (_ELSEWHERE * other * np.sqrt(other))
     return 0.35355 * density / inverse
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
     """Find points in a keyframe that does not observe them yet; those that are one become one.
 
@@ -333,13 +337,13 @@ def fuse_points(m, view, keyframe, candidates, noise2, density, odds, least):
     return done
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _variance(covariance):
     """Trace of a symmetric (3, 3) in its six numbers."""
     return covariance[0] + covariance[3] + covariance[5]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def unobserved_in(m, view, keyframes, points):
     """Number of points (Q,) int32, -1 for none, that each keyframe (K,) should show and does not observe.
 

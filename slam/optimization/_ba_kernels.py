@@ -21,7 +21,7 @@ MIN_DEPTH = 1e-6
 # Cost of an observation behind its camera: a hundred sigma, so that no step gains by moving it there.
 _BEHIND_CHI2 = 1e4
 _MOST_APPROACH = 0.9  # share of its inverse depth that a point may lose in one step
-_ARRIVED = 0.01
+_ARRIVED = 1e-3
 """By Student's t a single wrong observation may go on leaving for fifty steps, with no say in the poses. So what
 counts is the last step of all free poses, squared in units of their covariance: a tenth of a deviation."""
 _LITTLE_DAMPING = 1e-3
