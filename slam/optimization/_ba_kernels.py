@@ -28,7 +28,7 @@ _LITTLE_DAMPING = 1e-3
 """With more of it a step is short by its damping."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def sort_by_point(n_points, obs_point):
     """Sort observations by point: ``start`` (P + 1,) int64 and ``order`` (M,) int64."""
     start = np.zeros(n_points + 1, np.int64)
@@ -45,7 +45,7 @@ def sort_by_point(n_points, obs_point):
     return start, order
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def errors(T, points, camera, point, pixels, weights, intrinsics):
     """Squared errors in units of the variance, and a mask of positive depths.
 
@@ -69,7 +69,7 @@ def errors(T, points, camera, point, pixels, weights, intrinsics):
     return chi2, positive
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2):
     """Sum of the losses over the points with two observations or more.
 
@@ -101,7 +101,7 @@ def robust_cost(T, points, start, camera, pixels, weights, intrinsics, huber2):
     return cost
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def normal_equations(
     T, points, start, camera, pixels, weights, intrinsics, huber2, slot, U, V, W, gradient_c, gradient_p
 ):
@@ -161,7 +161,7 @@ def normal_equations(
             add_outer_products(U, f, Ju, Jv, weight)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def move_points(points, step, T, start, camera, moved):
     """Move points by a step that is taken in inverse depth, as seen from their first camera.
 
@@ -188,7 +188,7 @@ def move_points(points, step, T, start, camera, moved):
             moved[p, k] = centre + grown * (ray + step[p, k] - ray * dz / z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, iterations, huber2):
     """Minimise the cost over ``T`` and ``points`` by Levenberg-Marquardt, in place.
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def whole_rows(n):
     """(n,) int64 skyline of a dense matrix: every row starts at column 0."""
     return np.zeros(n, np.int64)
@@ -23,7 +23,7 @@ def _dot(a, b, first, last):
     return total
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def factor(A, first):
     """Replace the lower triangle of ``A`` (n, n) by its Cholesky factor.
 
@@ -47,7 +47,7 @@ def factor(A, first):
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def solve(L, first, b):
     """Solve ``L Lᵀ x = b`` in place of ``b`` (n,), with ``L`` from :func:`factor`."""
     n = L.shape[0]

@@ -10,7 +10,7 @@ from numba import njit
 from dslab.slam.optimization._block_sums import subtract_products
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def skyline(start, camera, slot, n_free):
     """(6 F,) int64 first column that can be nonzero in each row of the reduced camera matrix."""
     lowest = np.arange(n_free)
@@ -27,7 +27,7 @@ def skyline(start, camera, slot, n_free):
     return np.repeat(6 * lowest, 6)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _invert_3x3(V, damping, inverse):
     """Invert a symmetric block (lower triangle) with damped diagonal; False if singular."""
     floor = 1e-12 * (V[0, 0] + V[1, 1] + V[2, 2]) + 1e-30
@@ -50,7 +50,7 @@ def _invert_3x3(V, damping, inverse):
     return True
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def eliminate_points(
     U, V, W, gradient_c, gradient_p, start, camera, slot, damping, first, V_inv, held, S, reduced
 ):
@@ -100,7 +100,7 @@ def eliminate_points(
                     subtract_products(S, 6 * f, 6 * free[b], Y, turned, b)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _most_observations(start):
     most = 0
     for p in range(start.shape[0] - 1):
@@ -108,7 +108,7 @@ def _most_observations(start):
     return most
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, step_p):
     """Compute the point steps ``step_p`` (P, 3) from the camera steps ``step_c`` (6 F,)."""
     for p in range(start.shape[0] - 1):
@@ -128,7 +128,7 @@ def back_substitute(W, gradient_p, start, camera, slot, V_inv, held, step_c, ste
             step_p[p, r] = V_inv[p, r, 0] * b0 + V_inv[p, r, 1] * b1 + V_inv[p, r, 2] * b2
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def predicted_gain(U, V, gradient_c, gradient_p, damping, step_c, step_p, held):
     """Decrease of the cost that the model predicts for the damped step."""
     gain = 0.0
