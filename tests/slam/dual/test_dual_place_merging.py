@@ -98,7 +98,7 @@ def test_frames_of_a_map_whose_recovery_has_failed_are_sought_in_saved_maps(monk
     seek = DualSlam._seek_beside  # also of a frame that was offered before, as when a recovery ends at it
     monkeypatch.setattr(DualSlam, "_seek_beside", lambda *given: [seek(*given) for _ in range(2)])
     monkeypatch.setattr(DualSlam, "_find_back", lambda _, frame, outcome=None: (frame, outcome or nothing))
-    images, stamps_s, T_world_cam = toy(130, 0, STEP_M)
+    images, stamps_s, T_world_cam = toy(130, 2, STEP_M)
     system = dual(replace(BY_PLACE, relocalization=True))
     feed(system, blanked(images, range(50, 56)), stamps_s)
     (ended,), (fusion,) = of(system, "recovery_end"), of(system, "fusion")
