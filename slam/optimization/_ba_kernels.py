@@ -22,9 +22,9 @@ MIN_DEPTH = 1e-6
 _BEHIND_CHI2 = 1e4
 _MOST_APPROACH = 0.9  # share of its inverse depth that a point may lose in one step
 _ARRIVED = 1e-3
-"""The last step of all free poses, squared in units of their covariance: a thirtieth of a deviation. The cost goes
-on falling, as by Student's t wrong observations leave for fifty steps, but they have no say in the poses. At a
-tenth the steps along a wall add up (docs/notebook/base-decides.md)."""
+"""The last step of all free poses, squared in units of their covariance: a thirtieth of a deviation. The cost
+goes on falling, as by Student's t wrong observations leave for fifty steps, but they have no say in the poses.
+At a tenth the steps along a wall add up (docs/notebook/base-decides.md)."""
 _LITTLE_DAMPING = 1e-3
 """With more of it a step is short by its damping."""
 
@@ -209,7 +209,8 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
     )  # fmt: skip
     observed = start, camera, pixels, weights, intrinsics, huber2
     initial = robust_cost(T, points, *observed)
-    # Reweighting converges slowly: a small gain says less there. Of a likelihood's a thousandth tells nothing.
+    # Reweighting converges slowly: a small gain says less there. Of a log-likelihood's
+    # a thousandth tells nothing.
     tolerance = 1e-7 if huber2 == 0.0 else 1e-9 if huber2 > 0.0 else 1e-3 / max(initial, 1.0)
     problem = T, points, T.copy(), points.copy(), observed, slot, model, room
     cost, _ = minimise(_linearise, _propose, _accept, problem, initial, iterations, 1e-4, tolerance)
