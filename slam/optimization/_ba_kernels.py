@@ -23,8 +23,8 @@ _BEHIND_CHI2 = 1e4
 _MOST_APPROACH = 0.9  # share of its inverse depth that a point may lose in one step
 _ARRIVED = 1e-3
 """The last step of all free poses, squared in units of their covariance: a thirtieth of a deviation. The cost
-goes on falling, as by Student's t wrong observations leave for fifty steps, but they have no say in the poses.
-At a tenth the steps along a wall add up (docs/notebook/base-decides.md)."""
+goes on falling, as by Student's t wrong observations leave for fifty steps: they have no say in the poses. At
+a tenth the steps along a wall add up (docs/notebook/base-decides.md)."""
 _LITTLE_DAMPING = 1e-3
 """With more of it a step is short by its damping."""
 
