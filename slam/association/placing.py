@@ -104,11 +104,6 @@ def refine(
     return int(right[:n].sum()), right[n:]
 
 
-def median_depth(xyz: np.ndarray, T_cam_map: np.ndarray) -> float:
-    """Median depth of points (n, 3) from a pose, map units; NaN without any."""
-    return float(np.median(xyz @ T_cam_map[2, :3] + T_cam_map[2, 3])) if len(xyz) else np.nan
-
-
 def _image(map_: Map) -> float:
     """Area, px²."""
     view = map_.view

@@ -1,4 +1,4 @@
-"""Ordering of a frame's keypoints by grid cell."""
+"""What is asked of every frame: its keypoints by grid cell, its motion, its depth."""
 
 import numpy as np
 from numba import njit
@@ -48,3 +48,16 @@ def motion_between(T_before, T_after):
     angle = np.arctan2(sine, 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0))
     motion[3:] *= 0.5 * angle / sine if sine > 1e-9 else 0.5
     return motion
+
+
+@njit(cache=True, nogil=True)
+def median_depth(points, T_cam_map):
+    """Median depth of points (N, 3) from a pose (4, 4), map units; NaN without any."""
+    if len(points) == 0:
+        return np.nan
+    depth = np.empty(len(points))
+    for i in range(len(points)):
+        depth[i] = T_cam_map[2, 3]
+        for k in range(3):
+            depth[i] += T_cam_map[2, k] * points[i, k]
+    return np.median(depth)

@@ -6,6 +6,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
+from dslab.slam.core._frame_kernels import median_depth
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import setting, settings
@@ -163,7 +164,7 @@ class Doubt:
         T, T_last, stamp_s = frame.T_cam_map, last.T_cam_map, frame.features.stamp_s
         step, _ = hidden_motion(points, T, T_last)
         _, hidden = hidden_motion(points, T, T_predicted_map)
-        depth = float(np.median(points @ T[2, :3] + T[2, 3]))
+        depth = median_depth(points, T)
         path = float(np.linalg.norm(camera_centre(T) - camera_centre(T_last)))
         speed = path / abs(stamp_s - last.features.stamp_s)
         self._motions.append(

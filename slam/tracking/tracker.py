@@ -231,6 +231,6 @@ class Tracker:
             xyz, information = m.arrays.pt_xyz[points], m.view.inv_sigma2[frame.features.octave[matched]]
             variance = direction_deviation(frame.T_cam_map, xyz, information, m.view.fx, m.view.fy) ** 2
         points = points[:: max(len(points) // _TELLING, 1)]
-        made = m.features(int(np.median(m.arrays.pt_first_keyframe[points])))
+        made = m.features(int(np.sort(m.arrays.pt_first_keyframe[points])[len(points) // 2]))
         predicted, xyz = self.velocity @ last.T_cam_map, m.arrays.pt_xyz[points]
         self.doubt.note(frame, last, predicted, xyz, made.stamp_s, float(np.sqrt(variance)))

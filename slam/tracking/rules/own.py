@@ -13,10 +13,10 @@ from dslab.slam.association.placing import (
     NOTHING,
     Sighted,
     evidence_of_view,
-    median_depth,
     refine,
     take_matches,
 )
+from dslab.slam.core._frame_kernels import median_depth
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.results import RelativePose
 from dslab.slam.map._covariance_kernels import relative_covariance

@@ -9,7 +9,8 @@ Robotics 31(5), 2015, section V.
 
 import numpy as np
 
-from dslab.slam.association.placing import NOTHING, Sighted, median_depth
+from dslab.slam.association.placing import NOTHING, Sighted
+from dslab.slam.core._frame_kernels import median_depth
 from dslab.slam.core.frame import Frame
 from dslab.slam.map._map_kernels import count_observed
 from dslab.slam.map.map import Map
