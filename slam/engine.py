@@ -318,9 +318,8 @@ class SlamEngine:
         self.enter(initial.map.map_id)
         self.second_motion = initial.second_motion
         self.tracker.start(initial.second, 1)
-        store.poses.add(store.current_id, initial.first)
         between = frames_between(initial, self.config.tracking)
-        for frame in between:
+        for frame in (initial.first, *between):
             store.poses.add(store.current_id, frame)
         note_twists(self.store.current, [initial.second, *between, initial.first])
         self.state = TrackingState.TRACKING
