@@ -209,8 +209,8 @@ def adjust(T, points, start, camera, pixels, weights, intrinsics, slot, n_free, 
     )  # fmt: skip
     observed = start, camera, pixels, weights, intrinsics, huber2
     initial = robust_cost(T, points, *observed)
-    # Reweighting converges slowly: a small gain says less there. Of a log-likelihood's
-    # a thousandth tells nothing.
+    # Reweighting converges slowly: a small gain says less there. A thousandth of a
+    # log-likelihood tells nothing.
     tolerance = 1e-7 if huber2 == 0.0 else 1e-9 if huber2 > 0.0 else 1e-3 / max(initial, 1.0)
     problem = T, points, T.copy(), points.copy(), observed, slot, model, room
     cost, _ = minimise(_linearise, _propose, _accept, problem, initial, iterations, 1e-4, tolerance)

@@ -25,7 +25,7 @@ def minimise(linearise, propose, accept, problem, cost, steps, damping, toleranc
         linearise: ``(problem)``, writes the model of Gauss and Newton about the state.
         propose: ``(problem, damping)``, writes a trial state; its cost, infinite where there is none, and
             the gain that the model predicts.
-        accept: ``(problem)``, makes the trial state the state; whether that is near enough to the minimum.
+        accept: ``(problem)``, makes the trial state the state; true if that ends the search.
         problem: see above.
         cost: of its state.
         steps: most that are tried.
