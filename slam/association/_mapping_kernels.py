@@ -106,7 +106,7 @@ def points_along_rays(
         max_error: largest standard deviation of a depth over itself.
         density: (levels,) keypoints per px² of every octave of ``neighbour``.
         odds: (257,) by distance of descriptors.
-        least: posterior from which a pair is taken.
+        least: posterior of the place from which a pair is taken.
 
     Returns:
         keypoints of ``keyframe`` (n,) int32 and of ``neighbour`` (n,) int32 (rows of the keypoint arrays),
@@ -119,7 +119,7 @@ def points_along_rays(
     first = m.kf_start[neighbour]
     free = m.kp_point[first : m.kf_start[neighbour + 1]] < 0
     rows_1, rows_2 = np.empty(end - start, np.int32), np.empty(end - start, np.int32)
-    points = np.empty((end - start, 3))
+    points, there = np.empty((end - start, 3)), np.empty((len(free), 3))
     n = 0
     for a in range(start, end):
         if m.kp_point[a] >= 0:
@@ -133,7 +133,7 @@ def points_along_rays(
         found = _along_ray(
             view, m.kp_xy, m.kp_octave, m.kp_descriptor, m.kf_cells[neighbour], first, free,
             np.int64(m.kp_octave[a]), m.kp_descriptor[a], d, t, np.sqrt(x * x + y * y + 1.0), noise2, own,
-            min_depth, expected, scale, elsewhere, max_error, density, odds, least,
+            min_depth, expected, scale, elsewhere, max_error, density, odds, least, there,
         )  # fmt: skip
         if found < 0:
             continue
@@ -214,9 +214,14 @@ def columns_along(view, r, P_u, P_v, W_u, W_v, s_end, margin):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _along_ray(
     view, kp_xy, kp_octave, kp_descriptor, cells, first, free, octave, descriptor, d, t, length, noise2, own,
-    min_depth, expected, scale, elsewhere, max_error, density, odds, least,
+    min_depth, expected, scale, elsewhere, max_error, density, odds, least, there,
 ):  # fmt: skip
-    """Free keypoint that shows the point of a ray, by its posterior; -1 for none."""
+    """Free keypoint that shows the point of a ray, by the posterior of its place; -1 for none.
+
+    Asked is where the point is, not which keypoint shows it. A corner has several, of neighbouring octaves:
+    those whose depths agree within their noise count together, and the likeliest is taken. ``there`` is
+    (n, 3) of room for as many keypoints as may be free.
+    """
     P_u, P_v, W_u, W_v, s_end, nearest = ray_in_view(view, d, t, min_depth)
     W = np.sqrt(W_u * W_u + W_v * W_v)
     if W < 1e-9:
@@ -224,6 +229,7 @@ def _along_ray(
     along_u, along_v = W_u / W, W_v / W
     margin = BAND * np.sqrt(2.0 * noise2 / view.inv_sigma2[-1])
     total, best, found = 1.0 - _AGAIN, 0.0, -1
+    n, best_at, best_variance = 0, 0.0, 0.0
     for r in range(view.rows):
         left, right = columns_along(view, r, P_u, P_v, W_u, W_v, s_end, margin)
         if left > right:
@@ -263,9 +269,15 @@ def _along_ray(
                 of_octave(apart) * odds[hamming256(descriptor, kp_descriptor[b])] / density[kp_octave[b]]
             )
             total += likely
+            there[n] = s * W, variance, likely
+            n += 1
             if likely > best:
-                best, found = likely, i
-    return found if best >= least * total else -1
+                best, found, best_at, best_variance = likely, i, s * W, variance
+    here = 0.0
+    for at, variance, likely in there[:n]:
+        if (at - best_at) ** 2 <= BAND * BAND * (best_variance + variance):
+            here += likely
+    return found if here >= least * total else -1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -119,6 +119,23 @@ def test_new_points_are_where_the_world_has_them_and_those_without_parallax_are_
     assert len(made(0.15, 5000.0)[0]) == 0
 
 
+def test_two_keypoints_of_one_corner_do_not_hide_it():
+    rng, world = np.random.default_rng(4), PointWorld(seed=5, points=2000)
+    for name in ("xyz", "descriptor", "angle_deg", "size"):
+        setattr(world, name, np.repeat(getattr(world, name), 2, axis=0))
+    sightings = [world.see(i, walk(i), rng, noise_px=0.5, share=1.0) for i in (0, 10)]
+    m, _ = world.map_of(sightings, rng)
+    ids = np.concatenate([np.where(s.ids >= 0, s.ids // 2, -1) for s in sightings])
+    for p in m.points()[m.points() % 4 < 2]:  # both points of every second corner
+        remove_point(m.arrays, int(p))
+    expected = np.tile([5.5, 0.3, 0.2], (len(sightings[0].ids), 1))
+    density = density_of(m.arrays.kp_octave[m.keypoints(1)], 8, IMAGE_PX2)
+    own, theirs, _ = points_along_rays(
+        m.arrays, VIEW, 0, 1, 0.25, 0.5, expected, 0.15, density, odds_by_distance(), 0.9
+    )
+    assert len(own) > 80 and (ids[own] == ids[theirs])[ids[own] >= 0].mean() > 0.97
+
+
 def test_points_of_two_maps_that_are_one_become_one_and_others_do_not():
     rng, world = np.random.default_rng(6), PointWorld(seed=7)
     _, m, point_of = of_keyframes(world, rng, (0, 5, 10))
