@@ -3,7 +3,7 @@
 import os
 from collections import deque
 from collections.abc import Callable, Iterable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -15,6 +15,8 @@ import pandas as pd
 from dslab.experiments.batch.breakages import add_overlaps
 from dslab.experiments.batch.rows import CONTENT, DOSE, ERROR, KEY, Row, figures_of, typed
 from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.evaluation.hypotheses import write_hypotheses
+from dslab.experiments.evaluation.metrics import Truth
 from dslab.experiments.evaluation.summary import summarise
 from dslab.experiments.jobs.ledger import Owner, ledger_of
 from dslab.experiments.jobs.pool import Ended, PoolSettings, open_pool
@@ -35,6 +37,7 @@ from dslab.sim.degradations.recorded_sequences import degrade_sequence
 from dslab.sim.io.folders import new_directory, write_file
 from dslab.sim.sequence import Sequence
 from dslab.sim.unfinished import scratch_folder
+from dslab.slam.belief.log import logged
 
 ROWS_FILE, CSV_FILE, RUNS_DIR = "runs.parquet", "runs.csv", "runs"
 Progress = Callable[[str, int, int], None]
@@ -166,11 +169,14 @@ def make_run(job: Job) -> Row:
         first = int(job.about["first_frame"])
         frames = whole.only(np.arange(first, len(whole))) if first else whole
         pace = RealTime(frames) if spec.real_time else None
-        record = run_system(system, frames, job.about["seed"], spec.build, folder, pace=pace, whole=whole)
+        with logged() if spec.hypotheses else nullcontext() as views:
+            record = run_system(system, frames, job.about["seed"], spec.build, folder, pace=pace, whole=whole)
         summary = summarise(record)
         if not is_recorded(job.scene[0]):
             add_overlaps(record, summary["breakage_list"], load_scenario(*job.scene))
         write_run(folder, record, summary, picture=False)
+        if views is not None:
+            write_hypotheses(folder, views, Truth.of(record.sequence))
     return job.about | figures_of(record, summary)
 
 

@@ -53,6 +53,10 @@ class BatchSpec(Strict):
     settings: dict[str, Any] = Field(
         default_factory=dict, description="of our systems, as in a settings file of `dslab run`"
     )
+    hypotheses: bool = Field(
+        False,
+        description="log what our systems suppose of places, and the truth: hypotheses.parquet",
+    )
     limit_s: float = Field(7200.0, gt=0, description="longest duration of a run, its preparation included")
 
     @field_validator("systems")
@@ -93,7 +97,9 @@ class BatchSpec(Strict):
     def row_key(self) -> str:
         """Hash of all that makes a row beside its sequence, dose, system and run."""
         pattern = self.series.pattern if self.series else self.stress
-        return content_key(self.model_dump(mode="json", include=set(_OF_A_ROW)) | {"stress": pattern})
+        logged = {"hypotheses": True} if self.hypotheses else {}
+        made = self.model_dump(mode="json", include=set(_OF_A_ROW)) | {"stress": pattern} | logged
+        return content_key(made)
 
 
 def read_batch(path: Path) -> tuple[BatchSpec, list[str]]:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dslab.slam.belief.log import note
 from dslab.slam.core.results import MapTrajectory
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.look_alikes import doubles
@@ -76,8 +77,9 @@ def fault_of_alignment(
     if old is new:
         new_side = [k for k in new_side if k not in old_side]
     S_new_old = sim3_inverse(found.S_old_new)
-    fault = _one_way(new, old, new_side, old_side, S_new_old, config, far) or _one_way(
-        old, new, old_side, new_side, found.S_old_new, config, far
+    frames = new.frame_index(found.new_keyframe), old.frame_index(found.old_keyframe)
+    fault = _one_way(new, old, new_side, old_side, S_new_old, config, far, frames) or _one_way(
+        old, new, old_side, new_side, found.S_old_new, config, far, frames
     )
     if fault:
         return fault
@@ -98,7 +100,12 @@ def asked_span_s(old: Map, new: Map, config: PlaceCheckConfig) -> float:
 
 
 def fault_of_view(
-    new: Map, keyframe: int, old: Map, S_old_new: np.ndarray, config: PlaceCheckConfig
+    new: Map,
+    keyframe: int,
+    old: Map,
+    S_old_new: np.ndarray,
+    config: PlaceCheckConfig,
+    frames: tuple[int, int],
 ) -> str | None:
     """What the view of one keyframe says against where an alignment puts it in another map, far in time.
 
@@ -108,6 +115,7 @@ def fault_of_view(
         old: the other map.
         S_old_new: (4, 4) similarity to it.
         config: thresholds.
+        frames: of the two keyframes that were aligned first.
 
     Returns:
         The fault, empty for none; None if the view says nothing.
@@ -118,8 +126,11 @@ def fault_of_view(
         return None
     points = np.unique(np.concatenate([old.observed_points(k) for k in _side(old, nearest, config.around)]))
     points = points[points >= 0].astype(np.int32)
-    seen = support(old, points, S_cam_old, new.features(keyframe), config.radius_px, near=True)
-    return config.far_bar.fault(seen) if seen.expected >= config.min_expected else None
+    features = new.features(keyframe)
+    seen = support(old, points, S_cam_old, features, config.radius_px, near=True)
+    fault = config.far_bar.fault(seen)
+    note("join", (old.map_id, *frames), old, nearest, S_cam_old, features, points, fault)
+    return fault if seen.expected >= config.min_expected else None
 
 
 def _nearest(map_: Map, S_cam_map: np.ndarray) -> int:
@@ -169,6 +180,7 @@ def _one_way(
     S_here_there: np.ndarray,
     config: PlaceCheckConfig,
     far: bool,
+    frames: tuple[int, int],
 ) -> str:
     """The most frequent fault of the views here, which look for the points there; empty if most are sound."""
     points = np.unique(np.concatenate([there.observed_points(k) for k in there_side]))
@@ -177,8 +189,11 @@ def _one_way(
     for k in here_side[: config.views]:
         S_cam_there = here.T_cam_map(k) @ S_here_there
         seen = support(there, points, S_cam_there, here.features(k), config.radius_px, near=far)
+        fault = bar.fault(seen)
+        kind, supposed = "loop" if here is there else "join", (there.map_id, *frames)
+        note(kind, supposed, there, there_side[0], S_cam_there, here.features(k), points, fault)
         if seen.expected >= config.min_expected:
-            faults.append(bar.fault(seen))
+            faults.append(fault)
     if not faults:
         return "expected_points_missing"
     if faults.count("") >= config.min_sound * len(faults):

@@ -4,7 +4,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from dslab.slam.core.frame import Frame
+from dslab.slam.core.frame import Frame, FrameFeatures
 from dslab.slam.core.relation import PlacedFrames, Relation
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
@@ -58,6 +58,14 @@ def relocalization_relation(map_: Map, frames: Sequence[Frame]) -> Relation:
         np.array([f.features.index for f in frames], int),
         np.array([f.features.stamp_s for f in frames], float),
         np.array([np.linalg.inv(f.T_cam_map) for f in frames]),
+    )
+    return Relation(_placed(map_, _side(map_, keyframe)), own, _depth(map_, keyframe))
+
+
+def supposed_relation(map_: Map, keyframe: int, features: FrameFeatures, T_cam_map: np.ndarray) -> Relation:
+    """Relation that a view asserts which is supposed to be near a keyframe, at a pose (4, 4)."""
+    own = PlacedFrames(
+        np.array([features.index], int), np.array([features.stamp_s]), np.linalg.inv(T_cam_map)[None]
     )
     return Relation(_placed(map_, _side(map_, keyframe)), own, _depth(map_, keyframe))
 

@@ -6,6 +6,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from dslab.slam.belief.log import note
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import setting, settings
@@ -192,6 +193,8 @@ class Probation:
         radius_px, bar = self._config.radius_px, self._config.far_bar if self._far else self._config.bar
         seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=True)
         fault = bar.fault(seen)
+        supposed = self.map_id, self.first.features.index, m.frame_index(self.keyframe)
+        note("relocalization", supposed, m, self.keyframe, frame.T_cam_map, frame.features, points, fault)
         is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))

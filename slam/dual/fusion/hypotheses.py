@@ -45,7 +45,9 @@ class Hypothesis:
         """Ask the view of a further keyframe."""
         if keyframe in self.verdicts:
             return
-        fault = fault_of_view(current, keyframe, self.old, self.newest.S_old_new, config)
+        first = self.alignments[0]
+        frames = current.frame_index(first.new_keyframe), self.old.frame_index(first.old_keyframe)
+        fault = fault_of_view(current, keyframe, self.old, self.newest.S_old_new, config, frames)
         if fault is not None:
             self.verdicts[keyframe] = fault
 

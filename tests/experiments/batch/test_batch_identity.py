@@ -13,6 +13,7 @@ from slam_fakes import make_sequence
 from dslab.experiments.batch import run as batch_run
 from dslab.experiments.batch.run import run_batch
 from dslab.experiments.batch.spec import BatchSpec
+from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE
 from dslab.experiments.runs.identity import sequence_digest
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.families import load_family
@@ -104,3 +105,10 @@ def test_one_folder_or_class_by_two_spellings_is_refused(folder, tmp_path, monke
         with pytest.raises(InputError, match=re.escape(says)):
             run_batch(spec, sources, tmp_path / "b", task=batch_fakes.made_up)
     assert not (tmp_path / "b").exists()
+
+
+def test_hypotheses_are_logged_if_they_are_asked_for(folder, tmp_path):
+    asked = BatchSpec(sequences=("drive",), systems=("base",), runs=1, hypotheses=True)
+    run_batch(asked, [str(folder)], tmp_path / "b")
+    (place,) = (tmp_path / "b" / "runs").glob("*/base/000")
+    assert (place / HYPOTHESES_FILE).exists() and asked.row_key != spec_of().row_key

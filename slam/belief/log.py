@@ -1,0 +1,81 @@
+"""A log of hypotheses: every view that was asked for a supposed place, for whoever judges it later."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+
+import numpy as np
+
+from dslab.slam.belief.model import Sight
+from dslab.slam.belief.sight import rigid_of, sight_of
+from dslab.slam.core.frame import FrameFeatures
+from dslab.slam.core.relation import Relation
+from dslab.slam.map.map import Map
+from dslab.slam.map.relation import supposed_relation
+
+
+@dataclass(frozen=True)
+class LoggedView:
+    """One view that was asked for a supposed place.
+
+    Attributes:
+        kind: ``relocalization``, ``loop`` or ``join``.
+        hypothesis: the map, and the frames of the two views that supposed the place.
+        relation: the keyframes around, and where the view is among them, as supposed.
+        sight: what it should show, and what it shows.
+        fault: what speaks against the place by the rules that decide; empty for nothing.
+    """
+
+    kind: str
+    hypothesis: tuple[int, int, int]
+    relation: Relation
+    sight: Sight
+    fault: str
+
+    @property
+    def proposes(self) -> bool:
+        """Whether this is one of the views that supposed the place, and so no evidence."""
+        return int(self.relation.new.frames[0]) in self.hypothesis[1:]
+
+
+_log: ContextVar[list[LoggedView] | None] = ContextVar("hypotheses", default=None)
+
+
+@contextmanager
+def logged() -> Iterator[list[LoggedView]]:
+    """Log the hypotheses of all systems that run within, in order."""
+    views: list[LoggedView] = []
+    token = _log.set(views)
+    try:
+        yield views
+    finally:
+        _log.reset(token)
+
+
+def note(
+    kind: str,
+    hypothesis: tuple[int, int, int],
+    map_: Map,
+    keyframe: int,
+    S_cam_map: np.ndarray,
+    features: FrameFeatures,
+    points: np.ndarray,
+    fault: str,
+) -> None:
+    """Put a view down, if hypotheses are logged.
+
+    Args:
+        kind, hypothesis, fault: as of :class:`LoggedView`.
+        map_: of the place.
+        keyframe: row of a keyframe there.
+        S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
+        features: of the view.
+        points: (Q,) int32 points around the place.
+    """
+    views = _log.get()
+    if views is None:
+        return
+    T_cam_map = rigid_of(S_cam_map)
+    relation = supposed_relation(map_, keyframe, features, T_cam_map)
+    views.append(LoggedView(kind, hypothesis, relation, sight_of(map_, points, T_cam_map, features), fault))

@@ -1,0 +1,69 @@
+"""The views that are asked for a place are logged with what they show there, and nothing of the truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from slam_scenes import PointWorld, pose_error, rigid, walk
+
+from dslab.slam.belief.log import logged
+from dslab.slam.belief.model import Parameters, evidence
+from dslab.slam.loop_closing.map_alignment import Sim3AlignmentConfig, align
+from dslab.slam.loop_closing.place_check import PlaceCheckConfig, fault_of_alignment
+from dslab.slam.tracking.reach import ReachConfig
+
+LAX = Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
+ANYWHERE = PlaceCheckConfig(reach=ReachConfig(factor=1e6))
+
+
+@pytest.fixture(scope="module")
+def aligned():
+    """Two maps of one path, the second at twice the size, and the similarity between them."""
+    world, r, built = PointWorld(points=6000), np.random.default_rng(1), []
+    for m in range(2):
+        seen = [world.see(i, walk(i), r, noise_px=0.5, bits=6) for i in range(20 * m, 60, 5)]
+        built.append(world.map_of(seen, r, map_id=m)[0])
+        points = built[m].points()
+        built[m].arrays.pt_visible[points], built[m].arrays.pt_found[points] = 10, 7
+    built[1].transform(2.0, np.eye(3), np.array([1.0, 0.0, 0.0]))
+    return *built, align(*built, 6, 2, np.random.default_rng(0), LAX)[0]
+
+
+def views_of(old, new, alignment):
+    with logged() as views:
+        fault = fault_of_alignment(old, new, alignment, np.random.default_rng(0), ANYWHERE)
+    return views, fault
+
+
+def test_a_view_is_logged_where_it_is_supposed_and_says_that_it_is_there(aligned):
+    old, new, right = aligned
+    views, fault = views_of(old, new, right)
+    assert not fault and len(views) >= 6 and {v.kind for v in views} == {"join"}
+    assert {v.hypothesis[1:] for v in views} == {(new.frame_index(2), old.frame_index(6))}
+    assert sum(v.proposes for v in views) == 2
+    for view in views:
+        own, around = view.relation.new, view.relation.old
+        # As the first keyframe around sees it, in lengths of that map.
+        size = 2.0 if view.hypothesis[0] == 1 else 1.0
+        T = np.linalg.inv(own.T_map_cam[0]) @ around.T_map_cam[0]
+        T[:3, 3] /= size
+        true = walk(int(own.frames[0])) @ np.linalg.inv(walk(int(around.frames[0])))
+        distance, angle_deg = pose_error(T, true)
+        assert distance < 0.03 and angle_deg < 0.5
+        assert evidence(view.sight, Parameters()).here > 20
+        assert np.median(view.sight.angle) < 0.1 and np.abs(view.sight.zoom).max() < 0.5
+
+
+def test_a_view_that_is_elsewhere_speaks_against_it(aligned):
+    old, new, right = aligned
+    aside = replace(right, S_old_new=rigid((0.6, 0, 0)) @ right.S_old_new)
+    views, fault = views_of(old, new, aside)
+    assert fault and views
+    assert max(evidence(v.sight, Parameters()).here for v in views) < -5
+
+
+def test_nothing_is_logged_unless_it_is_asked_for(aligned):
+    views, _ = views_of(*aligned)
+    n = len(views)
+    fault_of_alignment(*aligned, np.random.default_rng(0), ANYWHERE)
+    assert len(views) == n
