@@ -24,12 +24,13 @@ from scipy.special import expit, logit, logsumexp
 
 _NODES = 5
 _AT, _WEIGHT = np.polynomial.hermite_e.hermegauss(_NODES)
-_LOG_WEIGHT = np.log(_WEIGHT / _WEIGHT.sum())
+LOG_WEIGHT = np.log(_WEIGHT / _WEIGHT.sum())
+"""(5,) of the nodes of v and of z, logarithms."""
 
 
 @dataclass(frozen=True)
 class Parameters:
-    """Of the model.
+    """Of the model, as ``dslab belief fit`` finds them.
 
     Attributes:
         offset: b.
@@ -38,6 +39,7 @@ class Parameters:
         view: standard deviation of v.
         surface: τ.
         part, double: γ of a place that repeats a part of this one, and of one that is furnished alike.
+        weights: chances of a strange place, of such a part and of a double, where the view is not here.
     """
 
     offset: float = 0.0
@@ -47,6 +49,7 @@ class Parameters:
     surface: float = 1.0
     part: float = 0.5
     double: float = 0.95
+    weights: tuple[float, float, float] = (0.8, 0.15, 0.05)
 
 
 class Sight(NamedTuple):
@@ -90,18 +93,20 @@ def evidence_of(ratios: np.ndarray, group: np.ndarray, parameters: Parameters) -
     """Of points whose surfaces are named.
 
     Args:
-        ratios: (V, K, n) as of :func:`told`.
+        ratios: (V, K, n) as of :func:`told`, or (1, K, n) where v is known.
         group: (n,) the surface of each.
         parameters: of the model.
     """
     _, index = np.unique(group, return_inverse=True)
     cells = np.zeros((*ratios.shape[:2], int(index.max(initial=-1)) + 1))
     np.add.at(cells, (slice(None), slice(None), index), ratios)
-    of_cell = logsumexp(cells + _LOG_WEIGHT[None, :, None], axis=1)
+    of_cell = logsumexp(cells + LOG_WEIGHT[None, :, None], axis=1)
+
+    of_view = LOG_WEIGHT if len(ratios) > 1 else np.zeros(1)
 
     def all_cells(alike: float) -> float:
         each = of_cell if alike == 1 else np.logaddexp(np.log(alike) + of_cell, np.log1p(-alike))
-        return float(logsumexp(each.sum(axis=1) + _LOG_WEIGHT))
+        return float(logsumexp(each.sum(axis=1) + of_view))
 
     return Evidence(all_cells(1.0), all_cells(parameters.part), all_cells(parameters.double))
 
@@ -109,3 +114,9 @@ def evidence_of(ratios: np.ndarray, group: np.ndarray, parameters: Parameters) -
 def evidence(sight: Sight, parameters: Parameters) -> Evidence:
     """What one view says."""
     return evidence_of(told(sight, parameters), sight.cell, parameters)
+
+
+def elsewhere(said: Evidence, parameters: Parameters) -> float:
+    """Logarithm of the likelihood that the view is not here, over that of chance."""
+    strange, part, double = np.log(parameters.weights)
+    return float(logsumexp([strange, part + said.part, double + said.double]))

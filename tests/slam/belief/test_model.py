@@ -3,29 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+from belief_scenes import GIVEN, seen
 from scipy.optimize import minimize_scalar
-from scipy.special import expit, logit
 
-from dslab.slam.belief.model import Parameters, Sight, evidence
-
-GIVEN = Parameters()
-APART = 3.0  # of the keypoints that show a point, and of those that do not, in deviations
-
-
-def seen(rng, alike):
-    """A view of a place in which the share ``alike`` of the cells is as the map has it."""
-    cells = rng.integers(4, 14)
-    cell = np.repeat(np.arange(cells), rng.integers(2, 12, cells))
-    n = len(cell)
-    visible = rng.integers(3, 40, n).astype(float)
-    found = rng.binomial(visible.astype(int), rng.beta(6, 3, n)).astype(float)
-    angle, zoom = rng.gamma(1.5, 0.05, n), rng.normal(0, 0.3, n)
-    usual = logit((found + 1) / (visible + 2)) + GIVEN.offset - GIVEN.angle * angle
-    usual -= GIVEN.zoom * np.abs(zoom)
-    usual += GIVEN.view * rng.normal() + GIVEN.surface * rng.normal(size=cells)[cell]
-    shows = (rng.random(n) < expit(usual)) & (rng.random(cells) < alike)[cell]
-    x = rng.normal(APART * shows, 1.0)
-    return Sight(np.arange(n), cell, np.exp(APART * x - APART**2 / 2), found, visible, angle, zoom)
+from dslab.slam.belief.model import Sight, evidence
 
 
 def slope(odds, here):

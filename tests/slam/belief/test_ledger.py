@@ -1,0 +1,43 @@
+"""Every point speaks once, and one view says by the ledger what it says by the model."""
+
+import numpy as np
+import pytest
+from belief_scenes import GIVEN, seen
+
+from dslab.slam.belief.ledger import Ledger
+from dslab.slam.belief.model import evidence
+
+
+def ledger_of(*sights):
+    ledger = Ledger(GIVEN)
+    for sight in sights:
+        ledger.add(sight)
+    return ledger
+
+
+def views(n=1, seed=3, alike=1.0):
+    rng = np.random.default_rng(seed)
+    return [seen(rng, alike) for _ in range(n)]
+
+
+def test_one_view_says_what_the_model_says_and_ten_times_the_same_no_more():
+    (view,) = views()
+    exact = evidence(view, GIVEN)
+    assert ledger_of(view).evidence().here == pytest.approx(exact.here, abs=0.5)
+    assert ledger_of(*[view] * 10).evidence() == pytest.approx(ledger_of(view).evidence())
+
+
+def test_other_points_say_more_and_a_covered_view_is_not_held_against_a_place_for_ever():
+    one, *others = views(6)
+    apart = [s._replace(point=s.point + 1000 * i) for i, s in enumerate(others, 1)]
+    assert ledger_of(one, *apart).evidence().here > 3 * ledger_of(one).evidence().here
+    covered = one._replace(shown=np.zeros(len(one.point)))
+    assert ledger_of(covered).evidence().here < 0
+    assert ledger_of(covered, *[one] * 5).evidence().here > 0.5 * ledger_of(one).evidence().here
+
+
+def test_a_view_that_should_show_nothing_says_nothing():
+    (view,) = views()
+    nothing = view._replace(**{name: getattr(view, name)[:0] for name in view._fields})
+    ledger = ledger_of(nothing)
+    assert ledger.views == 0 and tuple(ledger.evidence()) == (0.0, 0.0, 0.0)
