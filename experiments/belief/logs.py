@@ -51,10 +51,10 @@ def read_logs(folders: Sequence[Path]) -> list[Asked]:
 def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
     judged = table[table["false"].notna() & ~table["proposes"].astype(bool)]
     found = []
-    for (kind, *_), views in judged.groupby(["kind", "map", "supposed_by", "place"], sort=False):
+    for _, views in judged.groupby(["kind", "map", "supposed_by", "place"], sort=False):
         sights = tuple(
             Sight(*(np.asarray(getattr(view, name)) for name in Sight._fields)) for view in views.itertuples()
         )
         false = bool(views["false"].astype(float).mean() > 0.5)
-        found.append(Asked(run, str(kind), false, sights, tuple(views["fault"])))
+        found.append(Asked(run, str(views["kind"].iloc[0]), false, sights, tuple(views["fault"])))
     return found

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from dslab.experiments.cli import bench, cache, config, experiment, systems, vocabulary
+from dslab.experiments.cli import belief, bench, cache, config, experiment, systems, vocabulary
 from dslab.experiments.cli.batch import batch_command
 from dslab.experiments.cli.camera import camera_command
 from dslab.experiments.cli.compare import compare_command
@@ -54,6 +54,7 @@ app.command("picture")(picture_command)
 app.add_typer(experiment.app, name="experiment")
 app.command("paper")(paper_command)
 app.add_typer(bench.app, name="bench")
+app.add_typer(belief.app, name="belief")
 app.add_typer(vocabulary.app, name="vocabulary")
 
 

@@ -1,0 +1,96 @@
+"""``dslab belief``: fit and judge what is believed of places."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dslab.experiments.cli.console import number, print_rows, say
+
+_HELP = """Fit the model of what a view says of a supposed place, and judge it, by logged hypotheses.
+
+A batch with `hypotheses: true` logs them. Fit with some seeds, judge with others. For example:
+
+`dslab belief fit out/places --out fitted.json`
+
+`dslab belief judge out/other-places --fitted fitted.json --plot reliability.png`
+"""
+app = typer.Typer(help=_HELP, no_args_is_help=True)
+_Folders = Annotated[list[Path], typer.Argument(metavar="BATCH...", help="Folders of batches.")]
+
+
+@app.command("fit")
+def fit_command(
+    folders: _Folders,
+    out_file: Annotated[Path, typer.Option("--out", metavar="FILE.json", help="For what was fitted.")],
+) -> None:
+    """Find the model's parameters of most likelihood.
+
+    For example:
+
+    `dslab belief fit out/places --out fitted.json`
+    """
+    from dslab.experiments.belief.fit import fit
+    from dslab.experiments.belief.judge import prior
+    from dslab.experiments.belief.logs import read_logs
+    from dslab.experiments.belief.tables import write_fitted
+    from dslab.experiments.runs.provenance import commit
+
+    asked = read_logs(folders)
+    counts = {False: 0, True: 0}
+    for one in asked:
+        counts[one.false] += 1
+    say(f"{counts[False]} right and {counts[True]} false hypotheses")
+    fitted_to = {
+        "batches": [folder.name for folder in folders], "right": counts[False], "false": counts[True],
+        "commit": commit(),
+    }  # fmt: skip
+    write_fitted(out_file, fit(asked), prior(asked), fitted_to)
+    say(f"parameters in {out_file}")
+
+
+@app.command("judge")
+def judge_command(
+    folders: _Folders,
+    fitted_file: Annotated[
+        Path, typer.Option("--fitted", metavar="FILE.json", help="Of `dslab belief fit`.")
+    ],
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw how often is so what is believed.")
+    ] = None,
+) -> None:
+    """Say how often hypotheses are right that are held so likely, beside the rules that decide.
+
+    The rules' odds are the logistic of the share of sound views that fits these hypotheses best. For example:
+
+    `dslab belief judge out/other-places --fitted fitted.json`
+    """
+    import numpy as np
+
+    from dslab.experiments.belief.judge import as_odds, judge, ratios, shares
+    from dslab.experiments.belief.logs import read_logs
+    from dslab.experiments.belief.plot import draw
+    from dslab.experiments.belief.tables import read_fitted
+
+    fitted, asked = read_fitted(fitted_file), read_logs(folders)
+    false = np.array([one.false for one in asked])
+    odds = ratios(asked, fitted.parameters) + [fitted.prior.get(one.kind, 0.0) for one in asked]
+    offset, factor = as_odds(shares(asked), false)
+    of = {"belief": odds, "rules": offset + factor * shares(asked)}
+    kinds = {"all": np.ones(len(asked), bool)}
+    kinds |= {kind: np.array([o.kind == kind for o in asked]) for kind in sorted({o.kind for o in asked})}
+    rows = []
+    for kind, own in kinds.items():
+        for name, values in of.items():
+            found = judge(values[own], false[own])
+            rows.append(
+                {
+                    "kind": kind, "by": name, "right": found.hypotheses - found.false, "false": found.false,
+                    "slope": number(found.slope, 2), "log loss": number(found.loss, 3),
+                    "recall at no false one": number(found.recall, 3),
+                }
+            )  # fmt: skip
+    print_rows(rows, f"{len(asked)} hypotheses")
+    if plot is not None:
+        draw(odds, false, plot)
+        say(f"plot in {plot}")

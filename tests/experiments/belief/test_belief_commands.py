@@ -1,0 +1,65 @@
+"""``dslab belief``: logs in, parameters, a table and a plot out; what is wrong is one line."""
+
+import json
+
+import numpy as np
+import pytest
+from belief_scenes import seen
+
+from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE, write_hypotheses
+from dslab.experiments.evaluation.metrics import Truth
+from dslab.slam.belief.log import LoggedView
+from dslab.slam.core.relation import PlacedFrames, Relation
+
+
+@pytest.fixture(scope="module")
+def batch(tmp_path_factory):
+    """A folder of a batch whose camera goes straight: half of the hypotheses are 5 m off."""
+    folder, rng = tmp_path_factory.mktemp("batch"), np.random.default_rng(0)
+    n = 60
+    T = np.tile(np.eye(4), (n, 1, 1))
+    T[:, 0, 3] = 0.1 * np.arange(n)
+    around = PlacedFrames(np.arange(0, 40, 4), np.arange(0, 40, 4) / 10, T[0:40:4])
+    views = []
+    for i in range(40):
+        false = i % 2 == 1
+        for frame in (50, 51):
+            own = T[frame].copy()
+            own[2, 3] += 5.0 * false
+            supposed = Relation(
+                around, PlacedFrames(np.array([frame]), np.array([frame / 10]), own[None]), 2.0
+            )
+            views.append(
+                LoggedView("join", (0, 45 + i, 0), supposed, seen(rng, float(not false)), "x" * false)
+            )
+    run = folder / "runs" / "drive-1" / "dual" / "000"
+    run.mkdir(parents=True)
+    write_hypotheses(run, views, Truth(np.arange(n) / 10, T))
+    return folder
+
+
+def test_what_is_fitted_is_judged_and_drawn(dslab, batch, tmp_path):
+    fitted, plot = tmp_path / "fitted.json", tmp_path / "plot.png"
+    code, said, _ = dslab("belief", "fit", batch, "--out", fitted)
+    assert code == 0 and "20 right and 20 false" in said
+    kept = json.loads(fitted.read_text())
+    assert kept["fitted_to"]["false"] == 20 and sum(kept["parameters"]["weights"]) == pytest.approx(1)
+    code, said, _ = dslab("belief", "judge", batch, "--fitted", fitted, "--plot", plot)
+    assert code == 0 and "belief" in said and "rules" in said and plot.stat().st_size > 5000
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [(None, "cannot be read"), ("{", "invalid JSON"), ('{"prior": {}}', "parameters: field required")],
+)
+def test_a_file_that_is_none_is_one_line(dslab, batch, tmp_path, text, says):
+    file = tmp_path / "fitted.json"
+    if text is not None:
+        file.write_text(text)
+    code, _, error = dslab("belief", "judge", batch, "--fitted", file)
+    assert code == 2 and says in error and len(error.splitlines()) == 1
+
+
+def test_a_batch_without_logs_is_one_line(dslab, tmp_path):
+    code, _, error = dslab("belief", "fit", tmp_path, "--out", tmp_path / "f.json")
+    assert code == 2 and HYPOTHESES_FILE in error and "hypotheses: true" in error
