@@ -34,7 +34,7 @@ def draw(odds: np.ndarray, false: np.ndarray, path: Path) -> None:
     axes.plot([-12, 12], [-12, 12], color="0.7", linewidth=1)
     axes.errorbar(log[:, 0], log[:, 1], [log[:, 1] - log[:, 2], log[:, 3] - log[:, 1]], fmt="o", color="C0")
     for x, y, n in zip(log[:, 0], log[:, 1], rows[:, 4], strict=True):
-        axes.annotate(f"{n:.0f}", (x, y), xytext=(5, -10), textcoords="offset points", fontsize=8)
+        axes.annotate(f"{n:.0f}", (x, y), xytext=(-4, 0), textcoords="offset points", ha="right", fontsize=8)
     ticks = np.array([1e-4, 0.01, 0.1, 0.5, 0.9, 0.99, 0.9999])
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_ticks(np.log(ticks / (1 - ticks)), [f"{t:g}" for t in ticks])
