@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import logsumexp
 
-from dslab.slam.belief.model import LOG_WEIGHT, Evidence, Parameters, Sight, evidence_of, told
+from dslab.slam.belief.model import LOG_WEIGHT, Evidence, Parameters, Sight, by_surface, evidence_of, told
 
 
 class Ledger:
@@ -36,15 +36,12 @@ class Ledger:
         if not len(sight.point):
             return
         ratios = told(sight, self._parameters)
-        names, cell = np.unique(sight.cell, return_inverse=True)
-        cells = np.zeros((*ratios.shape[:2], len(names)))
-        np.add.at(cells, (slice(None), slice(None), cell), ratios)
-        of_view = logsumexp(cells + LOG_WEIGHT[None, :, None], axis=1).sum(axis=1) + LOG_WEIGHT
+        of_view = by_surface(ratios, sight.cell).sum(axis=1) + LOG_WEIGHT
         log_share = of_view - logsumexp(of_view)
         share = np.exp(log_share)
         self._costs.append(float((share * (log_share - LOG_WEIGHT)).sum()))
-        rows = self._rows_of(sight.point, cell + self._groups)
-        self._groups += len(names)
+        rows = self._rows_of(sight.point, sight.cell.astype(np.int64) + self._groups)
+        self._groups += int(sight.cell.max()) + 1
         self._sums[:, rows] += np.tensordot(share, ratios, axes=1)
         self._counts[rows] += 1
 

@@ -97,11 +97,7 @@ def evidence_of(ratios: np.ndarray, group: np.ndarray, parameters: Parameters) -
         group: (n,) the surface of each.
         parameters: of the model.
     """
-    _, index = np.unique(group, return_inverse=True)
-    cells = np.zeros((*ratios.shape[:2], int(index.max(initial=-1)) + 1))
-    np.add.at(cells, (slice(None), slice(None), index), ratios)
-    of_cell = logsumexp(cells + LOG_WEIGHT[None, :, None], axis=1)
-
+    of_cell = by_surface(ratios, group)
     of_view = LOG_WEIGHT if len(ratios) > 1 else np.zeros(1)
 
     def all_cells(alike: float) -> float:
@@ -109,6 +105,16 @@ def evidence_of(ratios: np.ndarray, group: np.ndarray, parameters: Parameters) -
         return float(logsumexp(each.sum(axis=1) + of_view))
 
     return Evidence(all_cells(1.0), all_cells(parameters.part), all_cells(parameters.double))
+
+
+def by_surface(ratios: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """(V, g) of each surface, z integrated, of ratios (V, K, n) and the surface (n,) of each."""
+    if not len(group):
+        return np.zeros((len(ratios), 0))
+    group = np.asarray(group, np.int64)
+    order = np.argsort(group, kind="stable")
+    begins = np.flatnonzero(np.diff(group[order], prepend=group[order[0]] - 1))
+    return logsumexp(np.add.reduceat(ratios[..., order], begins, axis=2) + LOG_WEIGHT[:, None], axis=1)
 
 
 def evidence(sight: Sight, parameters: Parameters) -> Evidence:
