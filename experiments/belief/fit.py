@@ -5,12 +5,20 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import expit, logit
+from scipy.special import expit, logit, logsumexp
 
 from dslab.experiments.belief.logs import Asked
-from dslab.slam.belief.model import Parameters, Sight, elsewhere, evidence
+from dslab.slam.belief.model import (
+    LOG_WEIGHT,
+    Parameters,
+    Sight,
+    by_surface,
+    elsewhere,
+    evidence_of_cells,
+    told,
+)
 
-_MOST_VIEWS = 1500
+_MOST_VIEWS = 800
 """Right and wrong ones each: views of one hypothesis say much the same."""
 _SPREAD = np.array([1.0, 2.0, 0.5, 0.3, 0.3])
 
@@ -35,10 +43,13 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
             view=float(np.exp(view)), surface=float(np.exp(surface)),
         )  # fmt: skip
 
+    def here(sight: Sight, p: Parameters) -> float:
+        return float(logsumexp(by_surface(told(sight, p), sight.cell).sum(axis=1) + LOG_WEIGHT))
+
     x = np.array([start.offset, start.angle, start.zoom, np.log(start.view), np.log(start.surface)])
     simplex = x + np.vstack([np.zeros(len(x)), np.diag(_SPREAD)])
     found = minimize(
-        lambda x: -np.mean([evidence(sight, of(x)).here for sight in right]), x, method="Nelder-Mead",
+        lambda x: -np.mean([here(sight, of(x)) for sight in right]), x, method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 1e-3, "initial_simplex": simplex},
     )  # fmt: skip
     return fit_alternatives(wrong, of(found.x))
@@ -48,15 +59,17 @@ def fit_alternatives(wrong: Sequence[Sight], parameters: Parameters) -> Paramete
     """γ and the weights of the places that wrong views are of, by their likelihood."""
 
     def of(x: np.ndarray) -> Parameters:
-        part, double = sorted(map(float, expit(x[:2])))
-        weights = np.exp(np.append(0.0, x[2:]))
+        part, double = sorted(map(float, expit(np.clip(x[:2], -12.0, 12.0))))
+        weights = np.exp(np.append(0.0, np.clip(x[2:], -20.0, 20.0)))
         return replace(
             parameters, part=part, double=double, weights=tuple(map(float, weights / weights.sum()))
         )
 
+    cells = [by_surface(told(sight, parameters), sight.cell) for sight in wrong]
+
     def loss(x: np.ndarray) -> float:
         p = of(x)
-        return -float(np.mean([elsewhere(evidence(sight, p), p) for sight in wrong]))
+        return -float(np.mean([elsewhere(evidence_of_cells(each, p), p) for each in cells]))
 
     x = np.array([logit(parameters.part), logit(parameters.double), -1.0, -2.0])
     found = minimize(loss, x, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3})

@@ -97,8 +97,12 @@ def evidence_of(ratios: np.ndarray, group: np.ndarray, parameters: Parameters) -
         group: (n,) the surface of each.
         parameters: of the model.
     """
-    of_cell = by_surface(ratios, group)
-    of_view = LOG_WEIGHT if len(ratios) > 1 else np.zeros(1)
+    return evidence_of_cells(by_surface(ratios, group), parameters)
+
+
+def evidence_of_cells(of_cell: np.ndarray, parameters: Parameters) -> Evidence:
+    """Of the log-ratios (V, g) of surfaces, as of :func:`by_surface`."""
+    of_view = LOG_WEIGHT if len(of_cell) > 1 else np.zeros(1)
 
     def all_cells(alike: float) -> float:
         each = of_cell if alike == 1 else np.logaddexp(np.log(alike) + of_cell, np.log1p(-alike))
