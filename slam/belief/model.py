@@ -118,7 +118,8 @@ def by_surface(ratios: np.ndarray, group: np.ndarray) -> np.ndarray:
     group = np.asarray(group, np.int64)
     order = np.argsort(group, kind="stable")
     begins = np.flatnonzero(np.diff(group[order], prepend=group[order[0]] - 1))
-    return logsumexp(np.add.reduceat(ratios[..., order], begins, axis=2) + LOG_WEIGHT[:, None], axis=1)
+    sums = np.add.reduceat(ratios[..., order], begins, axis=2)
+    return np.asarray(logsumexp(sums + LOG_WEIGHT[:, None], axis=1))
 
 
 def evidence(sight: Sight, parameters: Parameters) -> Evidence:
