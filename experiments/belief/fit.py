@@ -8,6 +8,7 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, logsumexp
 
 from dslab.experiments.belief.logs import Asked
+from dslab.scenarios.errors import InputError
 from dslab.slam.belief.model import (
     LOG_WEIGHT,
     Parameters,
@@ -32,9 +33,15 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
     Args:
         asked: hypotheses, right and wrong ones.
         start: to begin with; the model's own by default.
+
+    Raises:
+        InputError: none of them is right, or none is wrong.
     """
     start = start or Parameters()
     right, wrong = (_views(asked, false) for false in (False, True))
+    if not right or not wrong:
+        problem = f"no {'wrong' if right else 'right'} hypothesis with a view of points is among them"
+        raise InputError("the logs", problem, "add batches of worlds that repeat themselves, with losses")
 
     def of(x: np.ndarray) -> Parameters:
         offset, angle, zoom, view, surface = x

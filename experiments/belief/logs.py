@@ -35,7 +35,7 @@ def read_logs(folders: Sequence[Path]) -> list[Asked]:
     """Hypotheses in the runs of batches; those that the audit could not judge are left out.
 
     Raises:
-        InputError: a folder has no logged run.
+        InputError: a folder has no logged run, or no hypothesis could be judged.
     """
     asked: list[Asked] = []
     for folder in folders:
@@ -45,6 +45,9 @@ def read_logs(folders: Sequence[Path]) -> list[Asked]:
             raise InputError(str(folder), f"no run in it has a {HYPOTHESES_FILE}", remedy)
         for file in files:
             asked += _asked(pd.read_parquet(file), str(file.parent))
+    if not asked:
+        problem, remedy = "no hypothesis in its logs can be judged", "log runs with a truth and with losses"
+        raise InputError(", ".join(map(str, folders)), problem, remedy)
     return asked
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from dslab.scenarios.errors import InputError
+from dslab.sim.io.folders import write_file
 from dslab.slam.belief.model import Parameters
 
 
@@ -31,7 +32,7 @@ class Fitted(BaseModel):
 def write_fitted(path: Path, parameters: Parameters, prior: Mapping[str, float], fitted_to: dict) -> None:
     """Write the file."""
     text = {"parameters": asdict(parameters), "prior": dict(prior), "fitted_to": fitted_to}
-    path.write_text(json.dumps(text, indent=2) + "\n")
+    write_file(path, lambda place: place.write_text(json.dumps(text, indent=2) + "\n"))
 
 
 def read_fitted(path: Path) -> Fitted:

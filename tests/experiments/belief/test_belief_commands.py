@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from belief_scenes import seen
 
+from dslab.experiments.belief.fit import fit
+from dslab.experiments.belief.logs import read_logs
 from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE, write_hypotheses
 from dslab.experiments.evaluation.metrics import Truth
+from dslab.scenarios.errors import InputError
 from dslab.slam.belief.log import LoggedView
 from dslab.slam.core.relation import PlacedFrames, Relation
 
@@ -63,3 +66,17 @@ def test_a_file_that_is_none_is_one_line(dslab, batch, tmp_path, text, says):
 def test_a_batch_without_logs_is_one_line(dslab, tmp_path):
     code, _, error = dslab("belief", "fit", tmp_path, "--out", tmp_path / "f.json")
     assert code == 2 and HYPOTHESES_FILE in error and "hypotheses: true" in error
+
+
+def test_logs_without_a_hypothesis_are_one_line(dslab, tmp_path):
+    run = tmp_path / "runs" / "drive-1" / "dual" / "000"
+    run.mkdir(parents=True)
+    write_hypotheses(run, [], Truth(np.arange(2.0), np.tile(np.eye(4), (2, 1, 1))))
+    code, _, error = dslab("belief", "fit", tmp_path, "--out", tmp_path / "f.json")
+    assert code == 2 and "no hypothesis" in error and len(error.splitlines()) == 1
+
+
+def test_right_hypotheses_alone_cannot_be_fitted(batch):
+    right = [one for one in read_logs([batch]) if not one.false]
+    with pytest.raises(InputError, match="no wrong hypothesis"):
+        fit(right)
