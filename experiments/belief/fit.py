@@ -5,17 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import expit, logit, logsumexp
+from scipy.special import logsumexp
 
 from dslab.experiments.belief.logs import Asked
 from dslab.scenarios.errors import InputError
+from dslab.slam.belief.ledger import Ledger
 from dslab.slam.belief.model import (
     LOG_WEIGHT,
     Parameters,
     Sight,
+    by_share,
     by_surface,
-    elsewhere,
-    evidence_of_cells,
+    log_prior_of_share,
+    prior,
     told,
 )
 
@@ -28,7 +30,7 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
     """Parameters of most likelihood.
 
     Those of what is seen at a place are told by views that are where they are supposed to be, against chance;
-    those of the alternatives then by views that are not.
+    those of the alternatives then by which hypotheses are right.
 
     Args:
         asked: hypotheses, right and wrong ones.
@@ -59,28 +61,43 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
         lambda x: -np.mean([here(sight, of(x)) for sight in right]), x, method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 1e-3, "initial_simplex": simplex},
     )  # fmt: skip
-    return fit_alternatives(wrong, of(found.x))
+    return fit_alternatives(asked, of(found.x))
 
 
-def fit_alternatives(wrong: Sequence[Sight], parameters: Parameters) -> Parameters:
-    """γ and the weights of the places that wrong views are of, by their likelihood."""
+def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Parameters:
+    """What places are taken for others, and how often, so that beliefs are as often right as they say."""
 
     def of(x: np.ndarray) -> Parameters:
-        part, double = sorted(map(float, expit(np.clip(x[:2], -12.0, 12.0))))
-        weights = np.exp(np.append(0.0, np.clip(x[2:], -20.0, 20.0)))
-        return replace(
-            parameters, part=part, double=double, weights=tuple(map(float, weights / weights.sum()))
-        )
+        a, b, at_once, per_area, of_loops = map(float, np.exp(np.clip(x, -12.0, 12.0)))
+        return replace(parameters, alike=(a, b), at_once=at_once, per_area=per_area, of_loops=of_loops)
 
-    cells = [by_surface(told(sight, parameters), sight.cell) for sight in wrong]
+    false = np.array([one.false for one in asked])
+    here, shares = zip(*(_told_by(one, parameters) for one in asked), strict=True)
 
     def loss(x: np.ndarray) -> float:
         p = of(x)
-        return -float(np.mean([elsewhere(evidence_of_cells(each, p), p) for each in cells]))
+        elsewhere = logsumexp(np.array(shares) + log_prior_of_share(p), axis=1)
+        before = np.array([prior(one.unseen, p, one.kind == "loop") for one in asked])
+        odds = before + np.array(here) - elsewhere
+        return float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
 
-    x = np.array([logit(parameters.part), logit(parameters.double), -1.0, -2.0])
-    found = minimize(loss, x, method="Nelder-Mead", options={"xatol": 0.02, "fatol": 1e-3})
+    p = parameters
+    x = np.log([*p.alike, p.at_once, p.per_area, p.of_loops])
+    simplex = x + np.vstack([np.zeros(len(x)), np.eye(len(x))])
+    found = minimize(
+        loss, x, method="Nelder-Mead",
+        options={"xatol": 0.02, "fatol": 1e-5, "maxiter": 4000, "initial_simplex": simplex},
+    )  # fmt: skip
     return of(found.x)
+
+
+def _told_by(one: Asked, parameters: Parameters) -> tuple[float, np.ndarray]:
+    """Evidence of here, and (G,) of places that are alike in each share, of a hypothesis by all its views."""
+    ledger = Ledger(parameters)
+    for sight in one.sights:
+        ledger.add(sight)
+    of_cell = ledger.of_cell()
+    return float(of_cell.sum()), by_share(of_cell)[:, 0]
 
 
 def _views(asked: Sequence[Asked], false: bool) -> list[Sight]:

@@ -8,7 +8,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.ledger import Ledger
-from dslab.slam.belief.model import Parameters, elsewhere
+from dslab.slam.belief.model import Parameters, prior
 
 
 @dataclass(frozen=True)
@@ -29,30 +29,20 @@ class Judged:
     recall: float
 
 
-def ratios(asked: Sequence[Asked], parameters: Parameters) -> np.ndarray:
-    """(n,) log-ratio of here over elsewhere of each hypothesis, by all its views."""
-    said = []
+def beliefs(asked: Sequence[Asked], parameters: Parameters) -> np.ndarray:
+    """(n,) log-odds of each hypothesis, by the motion to it and by all its views."""
+    odds = []
     for one in asked:
         ledger = Ledger(parameters)
         for sight in one.sights:
             ledger.add(sight)
-        evidence = ledger.evidence()
-        said.append(evidence.here - elsewhere(evidence, parameters))
-    return np.array(said)
+        odds.append(prior(one.unseen, parameters, one.kind == "loop") + ledger.evidence().ratio)
+    return np.array(odds)
 
 
 def shares(asked: Sequence[Asked]) -> np.ndarray:
     """(n,) share of the views of each hypothesis that the rules find no fault with."""
     return np.array([np.mean([not fault for fault in one.faults]) for one in asked])
-
-
-def prior(asked: Sequence[Asked]) -> dict[str, float]:
-    """Log-odds of a hypothesis of each kind to be right, before any view; one of either is added."""
-    kinds = sorted({one.kind for one in asked})
-    counts = {
-        kind: [sum(o.false is f for o in asked if o.kind == kind) for f in (False, True)] for kind in kinds
-    }
-    return {kind: float(np.log((right + 1) / (wrong + 1))) for kind, (right, wrong) in counts.items()}
 
 
 def as_odds(score: np.ndarray, false: np.ndarray) -> tuple[float, float]:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE
 from dslab.scenarios.errors import InputError
-from dslab.slam.belief.model import Sight
+from dslab.slam.belief.model import Sight, Unseen
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,7 @@ class Asked:
         run: folder of the run.
         kind: ``relocalization``, ``loop`` or ``join``.
         false: whether it is false, by the audit; that of most of its views.
+        unseen: the motion to the place, as first supposed.
         sights: of every view, in order.
         faults: what the rules that decide say against each, empty for nothing.
     """
@@ -27,6 +28,7 @@ class Asked:
     run: str
     kind: str
     false: bool
+    unseen: Unseen
     sights: tuple[Sight, ...]
     faults: tuple[str, ...]
 
@@ -59,5 +61,7 @@ def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
             Sight(*(np.asarray(getattr(view, name)) for name in Sight._fields)) for view in views.itertuples()
         )
         false = bool(views["false"].astype(float).mean() > 0.5)
-        found.append(Asked(run, str(views["kind"].iloc[0]), false, sights, tuple(views["fault"])))
+        first = views.iloc[0]
+        unseen = Unseen(*(float(first[name]) for name in Unseen._fields))
+        found.append(Asked(run, str(first["kind"]), false, unseen, sights, tuple(views["fault"])))
     return found

@@ -1,7 +1,6 @@
-"""Fitted beliefs as a file: the model's parameters, the priors, and what they were fitted to."""
+"""Fitted beliefs as a file: the model's parameters, and what they were fitted to."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,20 +17,18 @@ class Fitted(BaseModel):
 
     Attributes:
         parameters: of the model.
-        prior: log-odds of a hypothesis of each kind to be right, before any view.
         fitted_to: folders, numbers of hypotheses, commit.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     parameters: Parameters
-    prior: dict[str, float]
     fitted_to: dict[str, Any]
 
 
-def write_fitted(path: Path, parameters: Parameters, prior: Mapping[str, float], fitted_to: dict) -> None:
+def write_fitted(path: Path, parameters: Parameters, fitted_to: dict) -> None:
     """Write the file."""
-    text = {"parameters": asdict(parameters), "prior": dict(prior), "fitted_to": fitted_to}
+    text = {"parameters": asdict(parameters), "fitted_to": fitted_to}
     write_file(path, lambda place: place.write_text(json.dumps(text, indent=2) + "\n"))
 
 

@@ -31,7 +31,6 @@ def fit_command(
     `dslab belief fit out/places --out fitted.json`
     """
     from dslab.experiments.belief.fit import fit
-    from dslab.experiments.belief.judge import prior
     from dslab.experiments.belief.logs import read_logs
     from dslab.experiments.belief.tables import write_fitted
     from dslab.experiments.runs.provenance import commit
@@ -45,7 +44,7 @@ def fit_command(
         "batches": [folder.name for folder in folders], "right": counts[False], "false": counts[True],
         "commit": commit(),
     }  # fmt: skip
-    write_fitted(out_file, fit(asked), prior(asked), fitted_to)
+    write_fitted(out_file, fit(asked), fitted_to)
     say(f"parameters in {out_file}")
 
 
@@ -67,14 +66,14 @@ def judge_command(
     """
     import numpy as np
 
-    from dslab.experiments.belief.judge import as_odds, judge, ratios, shares
+    from dslab.experiments.belief.judge import as_odds, beliefs, judge, shares
     from dslab.experiments.belief.logs import read_logs
     from dslab.experiments.belief.plot import draw
     from dslab.experiments.belief.tables import read_fitted
 
     fitted, asked = read_fitted(fitted_file), read_logs(folders)
     false = np.array([one.false for one in asked])
-    odds = ratios(asked, fitted.parameters) + [fitted.prior.get(one.kind, 0.0) for one in asked]
+    odds = beliefs(asked, fitted.parameters)
     offset, factor = as_odds(shares(asked), false)
     of = {"belief": odds, "rules": offset + factor * shares(asked)}
     kinds = {"all": np.ones(len(asked), bool)}

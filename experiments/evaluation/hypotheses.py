@@ -10,6 +10,7 @@ from dslab.experiments.evaluation.alignment import Undefined
 from dslab.experiments.evaluation.metrics import PosePairs, Truth
 from dslab.experiments.evaluation.relation_audit import RELATION_BOUNDS, RecognisedSide
 from dslab.slam.belief.log import LoggedView
+from dslab.slam.belief.model import Unseen
 from dslab.slam.core.relation import Relation
 
 HYPOTHESES_FILE = "hypotheses.parquet"
@@ -41,10 +42,12 @@ def hypotheses(views: Sequence[LoggedView], truth: Truth) -> pd.DataFrame:
                 "frame": int(new.frames[0]), "stamp_s": float(new.stamps_s[0]), "fault": view.fault,
                 "proposes": view.proposes, "false": false, "error_over_bound": off, "reason": reason,
             }
+            | view.unseen._asdict()
             | {name: getattr(view.sight, name).astype(kind) for name, kind in _POINTS.items()}
         )  # fmt: skip
-    columns = ["kind", "map", "supposed_by", "place", "frame", "stamp_s", "fault", "proposes", "false"]
-    table = pd.DataFrame(rows, columns=[*columns, "error_over_bound", "reason", *_POINTS])
+    columns = ["kind", "map", "supposed_by", "place", "frame", "stamp_s", "fault", *Unseen._fields]
+    columns += ["proposes", "false", "error_over_bound", "reason", *_POINTS]
+    table = pd.DataFrame(rows, columns=columns)
     return table.astype({"false": "boolean", "error_over_bound": float})
 
 

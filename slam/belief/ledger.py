@@ -3,7 +3,15 @@
 import numpy as np
 from scipy.special import logsumexp
 
-from dslab.slam.belief.model import LOG_WEIGHT, Evidence, Parameters, Sight, by_surface, evidence_of, told
+from dslab.slam.belief.model import (
+    LOG_WEIGHT,
+    Evidence,
+    Parameters,
+    Sight,
+    by_surface,
+    evidence_of_cells,
+    told,
+)
 
 
 class Ledger:
@@ -48,10 +56,16 @@ class Ledger:
     def evidence(self) -> Evidence:
         """Of all views together."""
         if not self._costs:
-            return Evidence(0.0, 0.0, 0.0)
-        said = evidence_of((self._sums / self._counts)[None], self._group, self._parameters)
+            return Evidence(0.0, 0.0)
+        said = evidence_of_cells(self.of_cell(), self._parameters)
         cost = float(np.mean(self._costs))
-        return Evidence(*(each - cost for each in said))
+        return Evidence(said.here - cost, said.elsewhere - cost)
+
+    def of_cell(self) -> np.ndarray:
+        """(1, g) log-ratios of the surfaces, v of every view at its posterior."""
+        if not self._costs:
+            return np.zeros((1, 0))
+        return by_surface((self._sums / self._counts)[None], self._group)
 
     def _rows_of(self, points: np.ndarray, groups: np.ndarray) -> np.ndarray:
         """Row of each point; new ones are of these surfaces."""

@@ -1,13 +1,13 @@
 """A log of hypotheses: every view that was asked for a supposed place, for whoever judges it later."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
 import numpy as np
 
-from dslab.slam.belief.model import Sight
+from dslab.slam.belief.model import Sight, Unseen
 from dslab.slam.belief.sight import rigid_of, sight_of
 from dslab.slam.core.frame import FrameFeatures
 from dslab.slam.core.relation import Relation
@@ -25,6 +25,7 @@ class LoggedView:
         relation: the keyframes around, and where the view is among them, as supposed.
         sight: what it should show, and what it shows.
         fault: what speaks against the place by the rules that decide; empty for nothing.
+        unseen: the motion to the place.
     """
 
     kind: str
@@ -32,6 +33,7 @@ class LoggedView:
     relation: Relation
     sight: Sight
     fault: str
+    unseen: Unseen
 
     @property
     def proposes(self) -> bool:
@@ -62,11 +64,12 @@ def note(
     features: FrameFeatures,
     points: np.ndarray,
     fault: str,
+    unseen: Callable[[], Unseen],
 ) -> None:
     """Put a view down, if hypotheses are logged.
 
     Args:
-        kind, hypothesis, fault: as of :class:`LoggedView`.
+        kind, hypothesis, fault, unseen: as of :class:`LoggedView`.
         map_: of the place.
         keyframe: row of a keyframe there.
         S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
@@ -78,4 +81,5 @@ def note(
         return
     T_cam_map = rigid_of(S_cam_map)
     relation = supposed_relation(map_, keyframe, features, T_cam_map)
-    views.append(LoggedView(kind, hypothesis, relation, sight_of(map_, points, T_cam_map, features), fault))
+    sight = sight_of(map_, points, T_cam_map, features)
+    views.append(LoggedView(kind, hypothesis, relation, sight, fault, unseen()))

@@ -1,14 +1,19 @@
 """Evidence for and against a similarity between two places, from the keyframes on either side."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from dslab.slam.belief.log import note
+from dslab.slam.belief.model import Unseen
+from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.results import MapTrajectory
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.look_alikes import doubles
 from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree, align
+from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.map.trajectory import keyframe_trajectory
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
@@ -53,6 +58,14 @@ class PlaceCheckConfig:
     reach: ReachConfig = setting(ReachConfig(), "how far the unseen camera can have come")
 
 
+class _Log(NamedTuple):
+    """Of an alignment, for the log: frames of its two ends, and the motion that it supposes."""
+
+    new_frame: int
+    old_frame: int
+    unseen: Callable[[], Unseen]
+
+
 def fault_of_alignment(
     old: Map, new: Map, found: Alignment, rng: np.random.Generator, config: PlaceCheckConfig
 ) -> str:
@@ -77,9 +90,12 @@ def fault_of_alignment(
     if old is new:
         new_side = [k for k in new_side if k not in old_side]
     S_new_old = sim3_inverse(found.S_old_new)
-    frames = new.frame_index(found.new_keyframe), old.frame_index(found.old_keyframe)
-    fault = _one_way(new, old, new_side, old_side, S_new_old, config, far, frames) or _one_way(
-        old, new, old_side, new_side, found.S_old_new, config, far, frames
+    log = _Log(
+        new.frame_index(found.new_keyframe), old.frame_index(found.old_keyframe),
+        lambda: _unseen(old, new, found, config.reach),
+    )  # fmt: skip
+    fault = _one_way(new, old, new_side, old_side, S_new_old, config, far, log) or _one_way(
+        old, new, old_side, new_side, found.S_old_new, config, far, log
     )
     if fault:
         return fault
@@ -100,12 +116,7 @@ def asked_span_s(old: Map, new: Map, config: PlaceCheckConfig) -> float:
 
 
 def fault_of_view(
-    new: Map,
-    keyframe: int,
-    old: Map,
-    S_old_new: np.ndarray,
-    config: PlaceCheckConfig,
-    frames: tuple[int, int],
+    new: Map, keyframe: int, old: Map, newest: Alignment, config: PlaceCheckConfig, first: Alignment
 ) -> str | None:
     """What the view of one keyframe says against where an alignment puts it in another map, far in time.
 
@@ -113,14 +124,14 @@ def fault_of_view(
         new: map of the keyframe.
         keyframe: row.
         old: the other map.
-        S_old_new: (4, 4) similarity to it.
+        newest: the alignment.
         config: thresholds.
-        frames: of the two keyframes that were aligned first.
+        first: the one that supposed the place first.
 
     Returns:
         The fault, empty for none; None if the view says nothing.
     """
-    S_cam_old = new.T_cam_map(keyframe) @ sim3_inverse(S_old_new)
+    S_cam_old = new.T_cam_map(keyframe) @ sim3_inverse(newest.S_old_new)
     nearest = _nearest(old, S_cam_old)
     if nearest < 0:
         return None
@@ -129,7 +140,11 @@ def fault_of_view(
     features = new.features(keyframe)
     seen = support(old, points, S_cam_old, features, config.radius_px, near=True)
     fault = config.far_bar.fault(seen)
-    note("join", (old.map_id, *frames), old, nearest, S_cam_old, features, points, fault)
+    supposed = old.map_id, new.frame_index(first.new_keyframe), old.frame_index(first.old_keyframe)
+    note(
+        "join", supposed, old, nearest, S_cam_old, features, points, fault,
+        lambda: _unseen(old, new, newest, config.reach),
+    )  # fmt: skip
     return fault if seen.expected >= config.min_expected else None
 
 
@@ -149,15 +164,37 @@ def _nearest(map_: Map, S_cam_map: np.ndarray) -> int:
 
 def within_reach(old: Map, new: Map, S_old_new: np.ndarray, config: ReachConfig) -> bool:
     """Return True if the camera can have come from one map to the other in the time between them."""
+    start, centre, stamp_s = _start(old, new, S_old_new, config)
+    return start is None or start.allows(centre, stamp_s)
+
+
+def _start(
+    old: Map, new: Map, S_old_new: np.ndarray, config: ReachConfig
+) -> tuple[Reach | None, np.ndarray, float]:
+    """Reach from one map towards the other, where they are nearest in time; the other's position and time."""
     before, after = keyframe_trajectory(old), keyframe_trajectory(new)
     after = replace(after, T_map_cam=S_old_new @ after.T_map_cam)
     _, i, j = _gap(before, after)
     reaches = [Reach.of(path, config) for path in (before, after)]
     speeds = [reach.speed for reach in reaches if reach is not None]
-    if not speeds:
-        return True
-    start = Reach(before.T_map_cam[i, :3, 3], float(before.stamps_s[i]), max(speeds), config)
-    return start.allows(after.T_map_cam[j, :3, 3], float(after.stamps_s[j]))
+    start = None
+    if speeds:
+        start = Reach(before.T_map_cam[i, :3, 3], float(before.stamps_s[i]), max(speeds), config)
+    return start, after.T_map_cam[j, :3, 3], float(after.stamps_s[j])
+
+
+def _unseen(old: Map, new: Map, found: Alignment, config: ReachConfig) -> Unseen:
+    """The motion that an alignment supposes: between two maps, or within one."""
+    depth = kernels.median_depth(old.arrays, found.old_keyframe) or np.nan
+    if old is new:
+        since_s = new.features(found.new_keyframe).stamp_s - old.features(found.old_keyframe).stamp_s
+        centre = camera_centre(new.T_cam_map(found.new_keyframe))
+        moved = found.S_old_new[:3, :3] @ centre + found.S_old_new[:3, 3]
+        return Unseen(since_s, np.nan, float(np.linalg.norm(moved - centre)) / depth)
+    start, centre, stamp_s = _start(old, new, found.S_old_new, config)
+    if start is None:
+        return Unseen(_gap(keyframe_trajectory(old), keyframe_trajectory(new))[0])
+    return start.unseen(centre, stamp_s, depth)
 
 
 def _gap(one: MapTrajectory, other: MapTrajectory) -> tuple[float, int, int]:
@@ -180,7 +217,7 @@ def _one_way(
     S_here_there: np.ndarray,
     config: PlaceCheckConfig,
     far: bool,
-    frames: tuple[int, int],
+    log: _Log,
 ) -> str:
     """The most frequent fault of the views here, which look for the points there; empty if most are sound."""
     points = np.unique(np.concatenate([there.observed_points(k) for k in there_side]))
@@ -190,8 +227,8 @@ def _one_way(
         S_cam_there = here.T_cam_map(k) @ S_here_there
         seen = support(there, points, S_cam_there, here.features(k), config.radius_px, near=far)
         fault = bar.fault(seen)
-        kind, supposed = "loop" if here is there else "join", (there.map_id, *frames)
-        note(kind, supposed, there, there_side[0], S_cam_there, here.features(k), points, fault)
+        kind, supposed = "loop" if here is there else "join", (there.map_id, log.new_frame, log.old_frame)
+        note(kind, supposed, there, there_side[0], S_cam_there, here.features(k), points, fault, log.unseen)
         if seen.expected >= config.min_expected:
             faults.append(fault)
     if not faults:

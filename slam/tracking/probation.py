@@ -7,9 +7,11 @@ from enum import StrEnum
 import numpy as np
 
 from dslab.slam.belief.log import note
+from dslab.slam.belief.model import Unseen
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import setting, settings
+from dslab.slam.map._map_kernels import median_depth
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.pose import direction_deviation
 from dslab.slam.places.evidence import VIEW_IS_UNKNOWN, EvidenceBar, support
@@ -118,7 +120,7 @@ class Probation:
         if config is None:
             self.verdict = Verdict.CONFIRMED
             return
-        self._config = config
+        self._config, self._reach, self._lost_at_s = config, reach, lost_at_s
         if doubt is not None:
             tracker.doubt = doubt.successor()
             self._config = replace(config, frames=max(config.frames, doubt.config.min_frames + 1))
@@ -194,12 +196,22 @@ class Probation:
         seen = support(m, points, frame.T_cam_map, frame.features, radius_px, near=True)
         fault = bar.fault(seen)
         supposed = self.map_id, self.first.features.index, m.frame_index(self.keyframe)
-        note("relocalization", supposed, m, self.keyframe, frame.T_cam_map, frame.features, points, fault)
+        note(
+            "relocalization", supposed, m, self.keyframe, frame.T_cam_map, frame.features, points, fault,
+            self._unseen,
+        )  # fmt: skip
         is_telling = seen.expected >= self._config.min_expected or not (fault or self._far)
         if is_telling and self._deviation_deg(frame) <= self._config.max_deviation_deg:
             self.faults.append((frame.features.stamp_s, fault))
             if not fault and self._sound_from is None:
                 self._sound_from = len(self.frames) - 1
+
+    def _unseen(self) -> Unseen:
+        first, m = self.first, self.tracker.map
+        if self._reach is None:
+            return Unseen(first.features.stamp_s - self._lost_at_s)
+        depth = median_depth(m.arrays, self.keyframe)
+        return self._reach.unseen(camera_centre(first.T_cam_map), first.features.stamp_s, depth)
 
     def _deviation_deg(self, frame: Frame) -> float:
         m, matched = self.tracker.map, frame.point >= 0

@@ -5,6 +5,7 @@ from typing import Self
 
 import numpy as np
 
+from dslab.slam.belief.model import Unseen
 from dslab.slam.core.results import MapTrajectory
 from dslab.slam.core.settings import setting, settings
 
@@ -66,6 +67,14 @@ class Reach:
         gap_s = abs(stamp_s - before_s)
         return gap_s <= self.config.memory_s and self._is_near(centre, before, gap_s)
 
+    def unseen(self, centre: np.ndarray, stamp_s: float, depth: float) -> Unseen:
+        """The motion from its last position to ``centre`` (3,) at a time, in lengths of a median depth."""
+        depth = depth or np.nan  # of no points
+        since_s, away = abs(stamp_s - self.stamp_s), float(np.linalg.norm(centre - self.centre))
+        return Unseen(since_s, self._radius(since_s) / depth, away / depth)
+
     def _is_near(self, centre: np.ndarray, other: np.ndarray, time_s: float) -> bool:
-        distance = self.config.factor * self.speed * (abs(time_s) + self.config.slack_s)
-        return bool(np.linalg.norm(centre - other) <= distance)
+        return bool(np.linalg.norm(centre - other) <= self._radius(time_s))
+
+    def _radius(self, time_s: float) -> float:
+        return self.config.factor * self.speed * (abs(time_s) + self.config.slack_s)

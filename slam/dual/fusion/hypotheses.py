@@ -45,9 +45,7 @@ class Hypothesis:
         """Ask the view of a further keyframe."""
         if keyframe in self.verdicts:
             return
-        first = self.alignments[0]
-        frames = current.frame_index(first.new_keyframe), self.old.frame_index(first.old_keyframe)
-        fault = fault_of_view(current, keyframe, self.old, self.newest.S_old_new, config, frames)
+        fault = fault_of_view(current, keyframe, self.old, self.newest, config, self.alignments[0])
         if fault is not None:
             self.verdicts[keyframe] = fault
 

@@ -12,6 +12,7 @@ from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE, write_hypot
 from dslab.experiments.evaluation.metrics import Truth
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.log import LoggedView
+from dslab.slam.belief.model import Unseen
 from dslab.slam.core.relation import PlacedFrames, Relation
 
 
@@ -33,7 +34,9 @@ def batch(tmp_path_factory):
                 around, PlacedFrames(np.array([frame]), np.array([frame / 10]), own[None]), 2.0
             )
             views.append(
-                LoggedView("join", (0, 45 + i, 0), supposed, seen(rng, float(not false)), "x" * false)
+                LoggedView(
+                    "join", (0, 45 + i, 0), supposed, seen(rng, float(not false)), "x" * false, Unseen(3.0)
+                )
             )
     run = folder / "runs" / "drive-1" / "dual" / "000"
     run.mkdir(parents=True)
@@ -46,14 +49,14 @@ def test_what_is_fitted_is_judged_and_drawn(dslab, batch, tmp_path):
     code, said, _ = dslab("belief", "fit", batch, "--out", fitted)
     assert code == 0 and "20 right and 20 false" in said
     kept = json.loads(fitted.read_text())
-    assert kept["fitted_to"]["false"] == 20 and sum(kept["parameters"]["weights"]) == pytest.approx(1)
+    assert kept["fitted_to"]["false"] == 20 and len(kept["parameters"]["alike"]) == 2
     code, said, _ = dslab("belief", "judge", batch, "--fitted", fitted, "--plot", plot)
     assert code == 0 and "belief" in said and "rules" in said and plot.stat().st_size > 5000
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
-    [(None, "cannot be read"), ("{", "invalid JSON"), ('{"prior": {}}', "parameters: field required")],
+    [(None, "cannot be read"), ("{", "invalid JSON"), ('{"fitted_to": {}}', "parameters: field required")],
 )
 def test_a_file_that_is_none_is_one_line(dslab, batch, tmp_path, text, says):
     file = tmp_path / "fitted.json"

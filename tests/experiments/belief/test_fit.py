@@ -1,27 +1,36 @@
-"""The fit finds the parameters that hypotheses were drawn with."""
+"""The fit finds what hypotheses were drawn with, and what it believes is as often so."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from belief_scenes import seen
 
 from dslab.experiments.belief.fit import fit
+from dslab.experiments.belief.judge import beliefs, judge
 from dslab.experiments.belief.logs import Asked
-from dslab.slam.belief.model import Parameters
+from dslab.slam.belief.model import Parameters, Unseen
 
-TRUE = Parameters(0.5, 7.0, 1.5, 0.7, 1.4, 0.4, 0.9, (0.6, 0.25, 0.15))
+TRUE = Parameters(0.5, 7.0, 1.5, 0.7, 1.4, (2.0, 0.5))
+MOTION = Unseen(3.0, 1.0, 0.5)
+
+
+def drawn(n, seed):
+    rng = np.random.default_rng(seed)
+    alike = np.append(np.ones(n), rng.beta(*TRUE.alike, n))
+    return [Asked("", "join", i >= n, MOTION, (seen(rng, a, TRUE),), ("",)) for i, a in enumerate(alike)]
 
 
 @pytest.mark.slow
-def test_parameters_are_found_again():
-    rng = np.random.default_rng(0)
-    places = rng.choice([0.0, TRUE.part, TRUE.double], 300, p=TRUE.weights)
-    asked = [Asked("", "join", False, (seen(rng, 1.0, TRUE),), ("",)) for _ in range(300)]
-    asked += [Asked("", "join", True, (seen(rng, alike, TRUE),), ("",)) for alike in places]
-    found = fit(asked)
+def test_parameters_are_found_again_and_with_them_beliefs_are_as_often_right_as_they_say():
+    found = fit(drawn(300, 0))
     assert found.offset == pytest.approx(TRUE.offset, abs=0.4)
     assert found.angle == pytest.approx(TRUE.angle, rel=0.4)
     assert found.zoom == pytest.approx(TRUE.zoom, abs=0.6)
     assert found.view == pytest.approx(TRUE.view, rel=0.35)
     assert found.surface == pytest.approx(TRUE.surface, rel=0.35)
-    assert found.part == pytest.approx(TRUE.part, abs=0.2) and found.double > 0.75
-    assert found.weights == pytest.approx(TRUE.weights, abs=0.12)
+    others = drawn(300, 1)
+    false = np.array([one.false for one in others])
+    exact = replace(TRUE, at_once=1.0, per_area=0.0)
+    by = [judge(beliefs(others, p), false) for p in (found, exact)]
+    assert 0.7 < by[0].slope < 1.4 and by[0].loss < by[1].loss + 0.03

@@ -6,13 +6,14 @@ from test_relation_audit import STAMPS, TRUTH, asserted
 from dslab.experiments.evaluation.hypotheses import hypotheses
 from dslab.experiments.evaluation.metrics import Truth
 from dslab.slam.belief.log import LoggedView
-from dslab.slam.belief.model import Sight
+from dslab.slam.belief.model import Sight, Unseen
 
+UNSEEN = Unseen(3.0, 2.0, 1.0)
 SIGHT = Sight(*(np.arange(3) for _ in range(7)))
 
 
 def logged(relation, supposed_by=500):
-    return LoggedView("loop", (0, supposed_by, 40), relation, SIGHT, "contradicted")
+    return LoggedView("loop", (0, supposed_by, 40), relation, SIGHT, "contradicted", UNSEEN)
 
 
 def test_a_view_is_false_if_it_is_not_where_it_is_supposed_to_be():
@@ -28,6 +29,7 @@ def test_a_view_is_false_if_it_is_not_where_it_is_supposed_to_be():
     assert table["false"].isna().iloc[3] and table.reason.iloc[3]
     assert table.proposes.tolist() == [False] * 4 + [True]
     assert table.error_over_bound[0] < 0.1 and table.error_over_bound[1] > 1
+    assert tuple(table.loc[0, list(Unseen._fields)]) == UNSEEN
     assert table.shown[0].tolist() == [0, 1, 2]
 
 

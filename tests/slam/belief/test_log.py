@@ -41,6 +41,8 @@ def test_a_view_is_logged_where_it_is_supposed_and_says_that_it_is_there(aligned
     assert not fault and len(views) >= 6 and {v.kind for v in views} == {"join"}
     assert {v.hypothesis[1:] for v in views} == {(new.frame_index(2), old.frame_index(6))}
     assert sum(v.proposes for v in views) == 2
+    # The first map's last keyframe is the second one's eighth: the camera need not have moved.
+    assert all(v.unseen.since_s == 0 and 0 <= v.unseen.away < 0.1 < v.unseen.radius for v in views)
     for view in views:
         own, around = view.relation.new, view.relation.old
         # As the first keyframe around sees it, in lengths of that map.

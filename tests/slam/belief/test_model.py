@@ -3,10 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from belief_scenes import GIVEN, seen
 from scipy.optimize import minimize_scalar
 
-from dslab.slam.belief.model import Sight, evidence
+from dslab.slam.belief.model import Sight, Unseen, evidence, prior
 
 
 def slope(odds, here):
@@ -29,12 +30,35 @@ def test_against_chance_the_odds_are_calibrated_and_without_surfaces_they_are_no
 
 
 def test_a_place_alike_is_told_by_its_own_alternative_and_by_chance_it_is_believed():
-    for alike, name in ((GIVEN.part, "part"), (GIVEN.double, "double")):
-        found, here = told_of(alike, GIVEN)
-        against = np.array([e.here - getattr(e, name) for e in found])
-        assert 0.8 < slope(against, here) < 1.25
-        by_chance = np.array([e.here for e in found])
-        assert (by_chance[~here] > 5).mean() > 0.3 > (against[~here] > 5).mean()
+    rng = np.random.default_rng(0)
+    given = replace(GIVEN, alike=(3.0, 0.5))
+    alike = np.append(np.ones(600), rng.beta(*given.alike, 600))
+    found, here = [evidence(seen(rng, a), given) for a in alike], np.arange(1200) < 600
+    against = np.array([e.ratio for e in found])
+    assert 0.8 < slope(against, here) < 1.25
+    by_chance = np.array([e.here for e in found])
+    assert (by_chance[~here] > 5).mean() > 0.3 > (against[~here] > 5).mean()
+
+
+def test_a_double_gains_by_all_that_it_shows_as_the_logarithm_only():
+    rng = np.random.default_rng(1)
+    views = [seen(rng, 1.0) for _ in range(40)]
+
+    def ratio(views):
+        together = [np.concatenate([getattr(v, name) for v in views]) for name in Sight._fields]
+        cell = np.concatenate([v.cell + 100 * i for i, v in enumerate(views)])
+        return evidence(Sight(*together)._replace(cell=cell), replace(GIVEN, view=0.0)).ratio
+
+    one, ten, forty = ratio(views[:1]), ratio(views[:10]), ratio(views)
+    assert one > 1 and forty - ten < 0.5 * GIVEN.alike[1] * np.log(4) + 1
+    assert ten - one < 0.5 * GIVEN.alike[1] * np.log(10) + 1
+
+
+def test_the_farther_a_camera_can_have_come_the_more_places_are_taken_for_the_one():
+    near, far = (prior(Unseen(1.0, r, 0.5), GIVEN, False) for r in (1.0, 100.0))
+    assert near - far == pytest.approx(np.log((GIVEN.at_once + 1e4 * GIVEN.per_area) / 0.2))
+    beyond = prior(Unseen(1.0, 1.0, 1.5), GIVEN, False)
+    assert near - beyond == pytest.approx(np.log(1000))
 
 
 def test_a_view_without_points_says_nothing():
