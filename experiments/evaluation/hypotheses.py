@@ -40,13 +40,14 @@ def hypotheses(views: Sequence[LoggedView], truth: Truth) -> pd.DataFrame:
             {
                 "kind": view.kind, "map": map_id, "supposed_by": first, "place": place,
                 "frame": int(new.frames[0]), "stamp_s": float(new.stamps_s[0]), "fault": view.fault,
-                "proposes": view.proposes, "false": false, "error_over_bound": off, "reason": reason,
+                "explored": view.explored, "doubles": view.doubles, "proposes": view.proposes,
+                "false": false, "error_over_bound": off, "reason": reason,
             }
             | view.unseen._asdict()
             | {name: getattr(view.sight, name).astype(kind) for name, kind in _POINTS.items()}
         )  # fmt: skip
     columns = ["kind", "map", "supposed_by", "place", "frame", "stamp_s", "fault", *Unseen._fields]
-    columns += ["proposes", "false", "error_over_bound", "reason", *_POINTS]
+    columns += ["explored", "doubles", "proposes", "false", "error_over_bound", "reason", *_POINTS]
     table = pd.DataFrame(rows, columns=columns)
     return table.astype({"false": "boolean", "error_over_bound": float})
 

@@ -13,6 +13,7 @@ from dslab.slam.core.frame import FrameFeatures
 from dslab.slam.core.relation import Relation
 from dslab.slam.map.map import Map
 from dslab.slam.map.relation import supposed_relation
+from dslab.slam.map.trajectory import keyframe_trajectory
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,8 @@ class LoggedView:
         sight: what it should show, and what it shows.
         fault: what speaks against the place by the rules that decide; empty for nothing.
         unseen: the motion to the place.
+        explored: length of the path of the map's keyframes, median depths of the place.
+        doubles: pairs of places that the map knows to look the same.
     """
 
     kind: str
@@ -34,6 +37,8 @@ class LoggedView:
     sight: Sight
     fault: str
     unseen: Unseen
+    explored: float = 0.0
+    doubles: int = 0
 
     @property
     def proposes(self) -> bool:
@@ -82,4 +87,7 @@ def note(
     T_cam_map = rigid_of(S_cam_map)
     relation = supposed_relation(map_, keyframe, features, T_cam_map)
     sight = sight_of(map_, points, T_cam_map, features)
-    views.append(LoggedView(kind, hypothesis, relation, sight, fault, unseen()))
+    centres = keyframe_trajectory(map_).T_map_cam[:, :3, 3]
+    explored = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum() / relation.depth)
+    doubles = len(map_.look_alikes)
+    views.append(LoggedView(kind, hypothesis, relation, sight, fault, unseen(), explored, doubles))

@@ -44,6 +44,8 @@ def test_a_view_is_logged_where_it_is_supposed_and_says_that_it_is_there(aligned
     # The first map's last keyframe is the second one's eighth: the camera need not have moved.
     assert all(v.unseen.since_s == 0 and 0 <= v.unseen.away < 0.1 < v.unseen.radius for v in views)
     for view in views:
+        # A walk of 1.2 to 1.8 m, points a few metres away.
+        assert 0.2 < view.explored < 3 and view.doubles == 0
         own, around = view.relation.new, view.relation.old
         # As the first keyframe around sees it, in lengths of that map.
         size = 2.0 if view.hypothesis[0] == 1 else 1.0
