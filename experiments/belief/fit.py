@@ -5,25 +5,28 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp
+from scipy.special import expit, logit, logsumexp
 
 from dslab.experiments.belief.logs import Asked
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.ledger import Ledger
 from dslab.slam.belief.model import (
-    LOG_WEIGHT,
     Parameters,
     Sight,
     by_share,
     by_surface,
     log_prior_of_share,
+    over_views,
     prior,
     told,
 )
 
-_MOST_VIEWS = 800
-"""Right and wrong ones each: views of one hypothesis say much the same."""
-_SPREAD = np.array([1.0, 2.0, 0.5, 0.3, 0.3])
+_MOST_VIEWS = 100
+"""Of right hypotheses, one of each at most: views of one say much the same."""
+_BOUNDS = [(-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.0), (0.01, 3.0), (-9.0, -1.5)]
+_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 3.0])
+"""Deviations of the logarithms of what alternatives are, before any log: worlds are fewer than hypotheses,
+and where all of these can be told apart nothing would hold the exponents."""
 
 
 def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
@@ -46,20 +49,17 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
         raise InputError("the logs", problem, "add batches of worlds that repeat themselves, with losses")
 
     def of(x: np.ndarray) -> Parameters:
-        offset, angle, zoom, view, surface = x
-        return replace(
-            start, offset=float(offset), angle=float(max(angle, 0.0)), zoom=float(max(zoom, 0.0)),
-            view=float(np.exp(view)), surface=float(np.exp(surface)),
-        )  # fmt: skip
+        names = ("offset", "angle", "farther", "nearer", "view", "fall", "surface")
+        return replace(start, **dict(zip(names, map(float, x[:7]), strict=True)), covered=float(expit(x[7])))
 
     def here(sight: Sight, p: Parameters) -> float:
-        return float(logsumexp(by_surface(told(sight, p), sight.cell).sum(axis=1) + LOG_WEIGHT))
+        return float(over_views(by_share(by_surface(told(sight, p), sight.cell), p)[-1:])[0][0])
 
-    x = np.array([start.offset, start.angle, start.zoom, np.log(start.view), np.log(start.surface)])
-    simplex = x + np.vstack([np.zeros(len(x)), np.diag(_SPREAD)])
+    x = np.array([start.offset, start.angle, start.farther, start.nearer, start.view, start.fall])
+    x = np.append(x, [start.surface, logit(start.covered)])
     found = minimize(
-        lambda x: -np.mean([here(sight, of(x)) for sight in right]), x, method="Nelder-Mead",
-        options={"xatol": 0.02, "fatol": 1e-3, "initial_simplex": simplex},
+        lambda x: -np.mean([here(sight, of(x)) for sight in right]), x, method="L-BFGS-B", bounds=_BOUNDS,
+        options={"eps": 1e-3, "ftol": 1e-6},
     )  # fmt: skip
     return fit_alternatives(asked, of(found.x))
 
@@ -72,36 +72,40 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
         return replace(parameters, alike=(a, b), at_once=at_once, per_area=per_area, of_loops=of_loops)
 
     false = np.array([one.false for one in asked])
-    here, shares = zip(*(_told_by(one, parameters) for one in asked), strict=True)
+    of_share = np.array([_told_by(one, parameters) for one in asked])
 
-    def loss(x: np.ndarray) -> float:
-        p = of(x)
-        elsewhere = logsumexp(np.array(shares) + log_prior_of_share(p), axis=1)
-        before = np.array([prior(one.unseen, p, one.kind == "loop") for one in asked])
-        odds = before + np.array(here) - elsewhere
-        return float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
-
+    runs = len({one.run for one in asked})
     p = parameters
     x = np.log([*p.alike, p.at_once, p.per_area, p.of_loops])
+    broad = np.log([1.0, 1.0, *np.exp(x[2:])])
+
+    def loss(y: np.ndarray) -> float:
+        p = of(y)
+        elsewhere = logsumexp(of_share[:, :-1] + log_prior_of_share(p), axis=1)
+        before = np.array([prior(one.unseen, p, one.kind == "loop") for one in asked])
+        odds = before + of_share[:, -1] - elsewhere
+        mean = float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
+        return runs * mean + 0.5 * float((((y - broad) / _BROAD) ** 2).sum())
+
     simplex = x + np.vstack([np.zeros(len(x)), np.eye(len(x))])
     found = minimize(
         loss, x, method="Nelder-Mead",
-        options={"xatol": 0.02, "fatol": 1e-5, "maxiter": 4000, "initial_simplex": simplex},
+        options={"xatol": 0.02, "fatol": 1e-4, "maxiter": 2000, "initial_simplex": simplex},
     )  # fmt: skip
     return of(found.x)
 
 
-def _told_by(one: Asked, parameters: Parameters) -> tuple[float, np.ndarray]:
-    """Evidence of here, and (G,) of places that are alike in each share, of a hypothesis by all its views."""
+def _told_by(one: Asked, parameters: Parameters) -> np.ndarray:
+    """(G + 1,) evidence of every share, of a hypothesis by all its views."""
     ledger = Ledger(parameters)
     for sight in one.sights:
         ledger.add(sight)
-    of_cell = ledger.of_cell()
-    return float(of_cell.sum()), by_share(of_cell)[:, 0]
+    return ledger.by_share()
 
 
 def _views(asked: Sequence[Asked], false: bool) -> list[Sight]:
-    """Sights of right or of wrong hypotheses, evenly thinned to a number that can be fitted."""
-    sights = [sight for one in asked if one.false == false for sight in one.sights if len(sight.point)]
+    """Sights of right or of wrong hypotheses: the middle one of each, evenly thinned."""
+    with_points = [[s for s in one.sights if len(s.point)] for one in asked if one.false == false]
+    sights = [own[len(own) // 2] for own in with_points if own]
     step = max(len(sights) / _MOST_VIEWS, 1.0)
     return [sights[int(i * step)] for i in range(int(len(sights) / step))]

@@ -1,15 +1,15 @@
 """What the views of one supposed place have said: every point speaks once, however many views show it."""
 
 import numpy as np
-from scipy.special import logsumexp
 
 from dslab.slam.belief.model import (
-    LOG_WEIGHT,
     Evidence,
     Parameters,
     Sight,
+    by_share,
     by_surface,
-    evidence_of_cells,
+    evidence_of,
+    over_views,
     told,
 )
 
@@ -20,7 +20,8 @@ class Ledger:
     A point counts with the mean of its log-ratios over the views that should show it, in the surface in which
     it was first expected: twice the same view says no more than once, and a first view that was covered does
     not count for ever. How much a view shows at all, v of the model, is each view's own. It is held at its
-    posterior, which costs its divergence from the prior, so that of one view the evidence is exact.
+    posterior, for every share γ on its own, which costs its divergence from the prior: once for as many
+    points as a view has.
 
     Args:
         parameters: of the model.
@@ -28,10 +29,10 @@ class Ledger:
 
     def __init__(self, parameters: Parameters) -> None:
         self._parameters = parameters
-        self._sums = np.zeros((len(LOG_WEIGHT), 0))
+        self._sums = np.zeros((0, 0, 0))
         self._counts, self._group = np.zeros(0), np.zeros(0, np.int64)
         self._row: dict[int, int] = {}
-        self._costs: list[float] = []
+        self._costs: list[np.ndarray] = []
         self._groups = 0
 
     @property
@@ -44,35 +45,34 @@ class Ledger:
         if not len(sight.point):
             return
         ratios = told(sight, self._parameters)
-        of_view = by_surface(ratios, sight.cell).sum(axis=1) + LOG_WEIGHT
-        log_share = of_view - logsumexp(of_view)
-        share = np.exp(log_share)
-        self._costs.append(float((share * (log_share - LOG_WEIGHT)).sum()))
+        _, weights, cost = over_views(by_share(by_surface(ratios, sight.cell), self._parameters))
+        self._costs.append(cost)
+        told_by_share = np.tensordot(weights, ratios, axes=1)
+        if self.views == 1:
+            self._sums = np.zeros((*told_by_share.shape[:2], 0))
         rows = self._rows_of(sight.point, sight.cell.astype(np.int64) + self._groups)
         self._groups += int(sight.cell.max()) + 1
-        self._sums[:, rows] += np.tensordot(share, ratios, axes=1)
+        self._sums[:, :, rows] += told_by_share
         self._counts[rows] += 1
+
+    def by_share(self) -> np.ndarray:
+        """(G + 1,) logarithms of L(γ) by all views together, as of the model."""
+        if not self._costs:
+            return by_share(np.zeros((1, 0)), self._parameters)[:, 0]
+        of_cell = by_surface(self._sums / self._counts, self._group)[:, None]
+        views = len(self._row) / (self._counts.sum() / len(self._costs))
+        return by_share(of_cell, self._parameters)[:, 0] - views * np.mean(self._costs, axis=0)
 
     def evidence(self) -> Evidence:
         """Of all views together."""
-        if not self._costs:
-            return Evidence(0.0, 0.0)
-        said = evidence_of_cells(self.of_cell(), self._parameters)
-        cost = float(np.mean(self._costs))
-        return Evidence(said.here - cost, said.elsewhere - cost)
-
-    def of_cell(self) -> np.ndarray:
-        """(1, g) log-ratios of the surfaces, v of every view at its posterior."""
-        if not self._costs:
-            return np.zeros((1, 0))
-        return by_surface((self._sums / self._counts)[None], self._group)
+        return evidence_of(self.by_share(), self._parameters)
 
     def _rows_of(self, points: np.ndarray, groups: np.ndarray) -> np.ndarray:
         """Row of each point; new ones are of these surfaces."""
         known = len(self._row)
         rows = np.array([self._row.setdefault(int(p), len(self._row)) for p in points])
         new = rows >= known
-        self._sums = np.pad(self._sums, ((0, 0), (0, len(self._row) - known)))
+        self._sums = np.pad(self._sums, ((0, 0), (0, 0), (0, len(self._row) - known)))
         self._counts = np.pad(self._counts, (0, len(self._row) - known))
         self._group = np.concatenate([self._group, groups[new]])
         return rows

@@ -11,14 +11,14 @@ from dslab.experiments.belief.judge import beliefs, judge
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.model import Parameters, Unseen
 
-TRUE = Parameters(0.5, 7.0, 1.5, 0.7, 1.4, (2.0, 0.5))
+TRUE = Parameters(0.5, 7.0, 2.5, 0.5, 0.5, 0.2, 1.4, 0.02, (2.0, 0.5))
 MOTION = Unseen(3.0, 1.0, 0.5)
 
 
 def drawn(n, seed):
     rng = np.random.default_rng(seed)
-    alike = np.append(np.ones(n), rng.beta(*TRUE.alike, n))
-    return [Asked("", "join", i >= n, MOTION, (seen(rng, a, TRUE),), ("",)) for i, a in enumerate(alike)]
+    alike = np.append(np.full(n, 1 - TRUE.covered), rng.beta(*TRUE.alike, n))
+    return [Asked(str(i), "join", i >= n, MOTION, (seen(rng, a, TRUE),), ("",)) for i, a in enumerate(alike)]
 
 
 @pytest.mark.slow
@@ -26,8 +26,9 @@ def test_parameters_are_found_again_and_with_them_beliefs_are_as_often_right_as_
     found = fit(drawn(300, 0))
     assert found.offset == pytest.approx(TRUE.offset, abs=0.4)
     assert found.angle == pytest.approx(TRUE.angle, rel=0.4)
-    assert found.zoom == pytest.approx(TRUE.zoom, abs=0.6)
-    assert found.view == pytest.approx(TRUE.view, rel=0.35)
+    assert found.farther == pytest.approx(TRUE.farther, abs=0.6)
+    assert found.nearer == pytest.approx(TRUE.nearer, abs=0.6)
+    assert found.view == pytest.approx(TRUE.view, rel=0.5)
     assert found.surface == pytest.approx(TRUE.surface, rel=0.35)
     others = drawn(300, 1)
     false = np.array([one.false for one in others])

@@ -40,4 +40,4 @@ def test_a_view_that_should_show_nothing_says_nothing():
     (view,) = views()
     nothing = view._replace(**{name: getattr(view, name)[:0] for name in view._fields})
     ledger = ledger_of(nothing)
-    assert ledger.views == 0 and tuple(ledger.evidence()) == (0.0, 0.0)
+    assert ledger.views == 0 and tuple(ledger.evidence()) == pytest.approx((0.0, 0.0))

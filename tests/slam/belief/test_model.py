@@ -19,7 +19,9 @@ def slope(odds, here):
 def told_of(alike, parameters, n=600, seed=0):
     """(2 n,) evidence of views here and, after them, of places alike, with the share of cells that is so."""
     rng = np.random.default_rng(seed)
-    return [evidence(seen(rng, a), parameters) for a in [1.0] * n + [alike] * n], np.arange(2 * n) < n
+    return [evidence(seen(rng, a, most_cells=3), parameters) for a in [1.0] * n + [alike] * n], np.arange(
+        2 * n
+    ) < n
 
 
 def test_against_chance_the_odds_are_calibrated_and_without_surfaces_they_are_not():
