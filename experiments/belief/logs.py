@@ -1,6 +1,6 @@
 """Logged hypotheses of batches: what was supposed, what every view said of it, and whether it was so."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +9,10 @@ import pandas as pd
 
 from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE
 from dslab.scenarios.errors import InputError
+from dslab.sim.io.folders import write_file
 from dslab.slam.belief.model import Sight, Unseen
+
+_HYPOTHESIS = ["kind", "map", "supposed_by", "place"]
 
 
 @dataclass(frozen=True)
@@ -17,7 +20,7 @@ class Asked:
     """A hypothesis and the views that were asked for it, those that supposed it left out.
 
     Attributes:
-        run: folder of the run.
+        run: folder of the run in its batch.
         kind: ``relocalization``, ``loop`` or ``join``.
         false: whether it is false, by the audit; that of most of its views.
         unseen: the motion to the place, as first supposed.
@@ -33,30 +36,90 @@ class Asked:
     faults: tuple[str, ...]
 
 
-def read_logs(folders: Sequence[Path]) -> list[Asked]:
-    """Hypotheses in the runs of batches; those that the audit could not judge are left out.
+def read_logs(places: Sequence[Path]) -> list[Asked]:
+    """Hypotheses in the runs of batches, or in collected files; what the audit could not judge is left out.
 
     Raises:
-        InputError: a folder has no logged run, or no hypothesis could be judged.
+        InputError: a folder has no logged run, a file is none, or no hypothesis could be judged.
     """
-    asked: list[Asked] = []
-    for folder in folders:
-        files = sorted(folder.glob(f"runs/*/*/*/{HYPOTHESES_FILE}"))
-        if not files:
-            remedy = "run its batch with hypotheses: true"
-            raise InputError(str(folder), f"no run in it has a {HYPOTHESES_FILE}", remedy)
-        for file in files:
-            asked += _asked(pd.read_parquet(file), str(file.parent))
+    asked = [one for place in places for table, run in _tables(place) for one in _asked(table, run)]
     if not asked:
         problem, remedy = "no hypothesis in its logs can be judged", "log runs with a truth and with losses"
-        raise InputError(", ".join(map(str, folders)), problem, remedy)
+        raise InputError(", ".join(map(str, places)), problem, remedy)
     return asked
 
 
+def collect(places: Sequence[Path], file: Path, views: int, right_joins: int) -> tuple[int, int]:
+    """Write the logs of batches as one file, thinned: of a hypothesis some views, evenly spaced.
+
+    Angles and ratios are rounded, by less than the model can tell.
+
+    Args:
+        places: folders of batches.
+        file: to write, Parquet.
+        views: most views of a hypothesis.
+        right_joins: most right joins of a run; there is one for every other keyframe.
+
+    Returns:
+        Numbers of hypotheses and of views that it has.
+    """
+    kept, hypotheses = [], 0
+    for place in places:
+        for table, run in _tables(place):
+            joins = 0
+            for (kind, *_), own in _judged(table).groupby(_HYPOTHESIS, sort=False):
+                if kind == "join" and not own["false"].any():
+                    joins += 1
+                    if joins > right_joins:
+                        continue
+                rows = np.unique(np.linspace(0, len(own) - 1, views).round().astype(int))
+                kept.append(own.iloc[rows].assign(run=run))
+                hypotheses += 1
+    if not kept:
+        raise InputError(", ".join(map(str, places)), "no hypothesis in its logs can be judged", "log others")
+    whole = pd.concat(kept, ignore_index=True)
+    whole["shown"] = [_rounded(values) for values in whole["shown"]]
+    for name in ("angle", "zoom"):
+        whole[name] = [np.round(values, 2) for values in whole[name]]
+    options = {"index": False, "compression": "zstd", "compression_level": 15}
+    write_file(file, lambda place: whole.to_parquet(place, **options))
+    return hypotheses, len(whole)
+
+
+def _rounded(values: np.ndarray) -> np.ndarray:
+    """Likelihood ratios to a twentieth of a decade: what is between does not pay its bytes."""
+    decade = np.log10(np.maximum(values, 1e-3))
+    return np.where(values < 1e-3, 0.0, 10 ** (np.round(20 * decade) / 20)).astype(np.float32)
+
+
+def _tables(place: Path) -> Iterator[tuple[pd.DataFrame, str]]:
+    """Tables of views and the runs that they are of."""
+    if place.is_file():
+        try:
+            whole = pd.read_parquet(place)
+            runs = whole.groupby("run", sort=False)
+        except (OSError, ValueError, KeyError):
+            remedy = "name a file of `dslab belief collect`"
+            raise InputError(str(place), "it is no table of hypotheses", remedy) from None
+        for run, table in runs:
+            yield table, str(run)
+        return
+    files = sorted(place.glob(f"runs/*/*/*/{HYPOTHESES_FILE}"))
+    if not files:
+        remedy = "run its batch with hypotheses: true"
+        raise InputError(str(place), f"no run in it has a {HYPOTHESES_FILE}", remedy)
+    for file in files:
+        yield pd.read_parquet(file), str(file.parent.relative_to(place))
+
+
+def _judged(table: pd.DataFrame) -> pd.DataFrame:
+    """Views whose truth is known, but for those that supposed the place."""
+    return table[table["false"].notna() & ~table["proposes"].astype(bool)]
+
+
 def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
-    judged = table[table["false"].notna() & ~table["proposes"].astype(bool)]
     found = []
-    for _, views in judged.groupby(["kind", "map", "supposed_by", "place"], sort=False):
+    for _, views in _judged(table).groupby(_HYPOTHESIS, sort=False):
         sights = tuple(
             Sight(*(np.asarray(getattr(view, name)) for name in Sight._fields)) for view in views.itertuples()
         )

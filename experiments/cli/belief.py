@@ -16,7 +16,28 @@ A batch with `hypotheses: true` logs them. Fit with some seeds, judge with other
 `dslab belief judge out/other-places --fitted fitted.json --plot reliability.png`
 """
 app = typer.Typer(help=_HELP, no_args_is_help=True)
-_Folders = Annotated[list[Path], typer.Argument(metavar="BATCH...", help="Folders of batches.")]
+_Folders = Annotated[
+    list[Path], typer.Argument(metavar="BATCH...", help="Folders of batches, or collected logs.")
+]
+
+
+@app.command("collect")
+def collect_command(
+    folders: _Folders,
+    out_file: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="For the collected logs.")],
+    views: Annotated[int, typer.Option(min=1, help="Most views of a hypothesis, evenly spaced.")] = 8,
+    right_joins: Annotated[int, typer.Option(min=1, help="Most right joins of a run.")] = 20,
+) -> None:
+    """Put the logs of batches into one thinned file; `fit` and `judge` take it as they take folders.
+
+    For example:
+
+    `dslab belief collect out/places --out places.parquet`
+    """
+    from dslab.experiments.belief.logs import collect
+
+    hypotheses, kept = collect(folders, out_file, views, right_joins)
+    say(f"{hypotheses} hypotheses with {kept} views in {out_file}")
 
 
 @app.command("fit")

@@ -186,7 +186,7 @@ def over_views(of_share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
         posterior of v; and (G + 1,) the divergence of that from the prior.
     """
     fine = of_share @ _BETWEEN.T + _LOG_FINE
-    integral = logsumexp(fine, axis=1)
+    integral = np.asarray(logsumexp(fine, axis=1))
     log_posterior = fine - integral[:, None]
     posterior = np.exp(log_posterior)
     return integral, posterior @ _BETWEEN, (posterior * (log_posterior - _LOG_FINE)).sum(axis=1)

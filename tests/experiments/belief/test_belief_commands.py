@@ -54,6 +54,21 @@ def test_what_is_fitted_is_judged_and_drawn(dslab, batch, tmp_path):
     assert code == 0 and "belief" in said and "rules" in said and plot.stat().st_size > 5000
 
 
+def test_collected_logs_are_read_as_their_batch_is(dslab, batch, tmp_path):
+    file = tmp_path / "logs.parquet"
+    code, said, _ = dslab("belief", "collect", batch, "--out", file, "--views", "1", "--right-joins", "5")
+    assert code == 0 and "25 hypotheses with 25 views" in said
+    own = {one.run: 0 for one in read_logs([file])}
+    assert list(own) == ["runs/drive-1/dual/000"]
+    whole, thin = read_logs([batch]), read_logs([file])
+    assert sum(one.false for one in thin) == sum(one.false for one in whole) == 20
+    assert np.allclose(thin[0].sights[0].shown, whole[0].sights[0].shown, rtol=0.06, atol=1e-3)
+    other = tmp_path / "other.parquet"
+    other.write_text("no table")
+    code, _, error = dslab("belief", "collect", other, "--out", file)
+    assert code == 2 and "no table of hypotheses" in error
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [(None, "cannot be read"), ("{", "invalid JSON"), ('{"fitted_to": {}}', "parameters: field required")],
