@@ -67,8 +67,8 @@ def collect(places: Sequence[Path], file: Path, views: int, right_joins: int) ->
     for place in places:
         for table, run in _tables(place):
             joins = 0
-            for (kind, *_), own in _judged(table).groupby(_HYPOTHESIS, sort=False):
-                if kind == "join" and not own["false"].any():
+            for _, own in _judged(table).groupby(_HYPOTHESIS, sort=False):
+                if own["kind"].iloc[0] == "join" and not bool(own["false"].to_numpy(bool).any()):
                     joins += 1
                     if joins > right_joins:
                         continue
@@ -114,7 +114,8 @@ def _tables(place: Path) -> Iterator[tuple[pd.DataFrame, str]]:
 
 def _judged(table: pd.DataFrame) -> pd.DataFrame:
     """Views whose truth is known, but for those that supposed the place."""
-    return table[table["false"].notna() & ~table["proposes"].astype(bool)]
+    known = table["false"].notna().to_numpy() & ~table["proposes"].to_numpy(bool)
+    return table.iloc[np.flatnonzero(known)]
 
 
 def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
