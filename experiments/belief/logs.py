@@ -20,7 +20,7 @@ class Asked:
     """A hypothesis and the views that were asked for it, those that supposed it left out.
 
     Attributes:
-        run: folder of the run in its batch.
+        run: folder of the run, with that of its batch.
         kind: ``relocalization``, ``loop`` or ``join``.
         false: whether it is false, by the audit; that of most of its views.
         unseen: the motion to the place, as first supposed.
@@ -109,7 +109,7 @@ def _tables(place: Path) -> Iterator[tuple[pd.DataFrame, str]]:
         remedy = "run its batch with hypotheses: true"
         raise InputError(str(place), f"no run in it has a {HYPOTHESES_FILE}", remedy)
     for file in files:
-        yield pd.read_parquet(file), str(file.parent.relative_to(place))
+        yield pd.read_parquet(file), str(file.parent.relative_to(place.parent))
 
 
 def _judged(table: pd.DataFrame) -> pd.DataFrame:

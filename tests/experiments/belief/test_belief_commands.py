@@ -59,7 +59,7 @@ def test_collected_logs_are_read_as_their_batch_is(dslab, batch, tmp_path):
     code, said, _ = dslab("belief", "collect", batch, "--out", file, "--views", "1", "--right-joins", "5")
     assert code == 0 and "25 hypotheses with 25 views" in said
     own = {one.run: 0 for one in read_logs([file])}
-    assert list(own) == ["runs/drive-1/dual/000"]
+    assert list(own) == [f"{batch.name}/runs/drive-1/dual/000"]
     whole, thin = read_logs([batch]), read_logs([file])
     assert sum(one.false for one in thin) == sum(one.false for one in whole) == 20
     assert np.allclose(thin[0].sights[0].shown, whole[0].sights[0].shown, rtol=0.06, atol=1e-3)
