@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import expit, logit, logsumexp
+from scipy.special import logsumexp
 
 from dslab.experiments.belief.logs import Asked
 from dslab.scenarios.errors import InputError
@@ -13,18 +13,15 @@ from dslab.slam.belief.ledger import Ledger
 from dslab.slam.belief.model import (
     Parameters,
     Sight,
-    by_share,
-    by_surface,
+    evidence,
     log_prior_of_share,
-    over_views,
     prior,
-    told,
 )
 
 _MOST_VIEWS = 100
 """Of right hypotheses, one of each at most: views of one say much the same."""
-_BOUNDS = [(-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.0), (0.01, 3.0), (-9.0, -1.5)]
-_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 3.0])
+_BOUNDS = [(-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.5), (0.01, 3.0), (0.0, 7.0), (-3.0, 1.0)]
+_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 3.0, 1.0, 3.0])
 """Deviations of the logarithms of what alternatives are, before any log: worlds are fewer than hypotheses,
 and where all of these can be told apart nothing would hold the exponents."""
 
@@ -50,16 +47,14 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
 
     def of(x: np.ndarray) -> Parameters:
         names = ("offset", "angle", "farther", "nearer", "view", "fall", "surface")
-        return replace(start, **dict(zip(names, map(float, x[:7]), strict=True)), covered=float(expit(x[7])))
-
-    def here(sight: Sight, p: Parameters) -> float:
-        return float(over_views(by_share(by_surface(told(sight, p), sight.cell), p)[-1:])[0][0])
+        here = float(np.exp(x[7])), float(np.exp(x[8]))
+        return replace(start, **dict(zip(names, map(float, x[:7]), strict=True)), here=here)
 
     x = np.array([start.offset, start.angle, start.farther, start.nearer, start.view, start.fall])
-    x = np.append(x, [start.surface, logit(start.covered)])
+    x = np.append(x, [start.surface, *np.log(start.here)])
     found = minimize(
-        lambda x: -np.mean([here(sight, of(x)) for sight in right]), x, method="L-BFGS-B", bounds=_BOUNDS,
-        options={"eps": 1e-3, "ftol": 1e-6},
+        lambda x: -np.mean([evidence(sight, of(x)).here for sight in right]), x, bounds=_BOUNDS,
+        method="L-BFGS-B", options={"eps": 1e-3, "ftol": 1e-6},
     )  # fmt: skip
     return fit_alternatives(asked, of(found.x))
 
@@ -68,22 +63,21 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
     """What places are taken for others, and how often, so that beliefs are as often right as they say."""
 
     def of(x: np.ndarray) -> Parameters:
-        a, b, at_once, per_area, of_loops = map(float, np.exp(np.clip(x, -12.0, 12.0)))
-        return replace(parameters, alike=(a, b), at_once=at_once, per_area=per_area, of_loops=of_loops)
+        a, b, *others = map(float, np.exp(np.clip(x, -12.0, 12.0)))
+        return replace(parameters, alike=(a, b), **dict(zip(names, others, strict=True)))
 
+    names = ("at_once", "per_area", "of_loops", "drift", "of_joins")
     false = np.array([one.false for one in asked])
-    of_share = np.array([_told_by(one, parameters) for one in asked])
-
+    of_share = np.array([Ledger(parameters, one.sights).by_share() for one in asked])
+    here = logsumexp(of_share + log_prior_of_share(parameters.here), axis=1)
     runs = len({one.run for one in asked})
-    p = parameters
-    x = np.log([*p.alike, p.at_once, p.per_area, p.of_loops])
-    broad = np.log([1.0, 1.0, *np.exp(x[2:])])
+    x = np.log([*parameters.alike, *(getattr(parameters, name) for name in names)])
+    broad = np.append(np.zeros(2), x[2:])
 
     def loss(y: np.ndarray) -> float:
         p = of(y)
-        elsewhere = logsumexp(of_share[:, :-1] + log_prior_of_share(p), axis=1)
-        before = np.array([prior(one.unseen, p, one.kind == "loop") for one in asked])
-        odds = before + of_share[:, -1] - elsewhere
+        elsewhere = logsumexp(of_share + log_prior_of_share(p.alike), axis=1)
+        odds = here - elsewhere + [prior(one.unseen, p, one.kind) for one in asked]
         mean = float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
         return runs * mean + 0.5 * float((((y - broad) / _BROAD) ** 2).sum())
 
@@ -93,14 +87,6 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
         options={"xatol": 0.02, "fatol": 1e-4, "maxiter": 2000, "initial_simplex": simplex},
     )  # fmt: skip
     return of(found.x)
-
-
-def _told_by(one: Asked, parameters: Parameters) -> np.ndarray:
-    """(G + 1,) evidence of every share, of a hypothesis by all its views."""
-    ledger = Ledger(parameters)
-    for sight in one.sights:
-        ledger.add(sight)
-    return ledger.by_share()
 
 
 def _views(asked: Sequence[Asked], false: bool) -> list[Sight]:

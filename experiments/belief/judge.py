@@ -31,13 +31,12 @@ class Judged:
 
 def beliefs(asked: Sequence[Asked], parameters: Parameters) -> np.ndarray:
     """(n,) log-odds of each hypothesis, by the motion to it and by all its views."""
-    odds = []
-    for one in asked:
-        ledger = Ledger(parameters)
-        for sight in one.sights:
-            ledger.add(sight)
-        odds.append(prior(one.unseen, parameters, one.kind == "loop") + ledger.evidence().ratio)
-    return np.array(odds)
+    return np.array(
+        [
+            prior(one.unseen, parameters, one.kind) + Ledger(parameters, one.sights).evidence().ratio
+            for one in asked
+        ]
+    )
 
 
 def shares(asked: Sequence[Asked]) -> np.ndarray:

@@ -36,13 +36,23 @@ class Asked:
     faults: tuple[str, ...]
 
 
-def read_logs(places: Sequence[Path]) -> list[Asked]:
+def read_logs(places: Sequence[Path], numbers: range | None = None) -> list[Asked]:
     """Hypotheses in the runs of batches, or in collected files; what the audit could not judge is left out.
+
+    Args:
+        places: folders or files.
+        numbers: of the runs to read; all by default.
 
     Raises:
         InputError: a folder has no logged run, a file is none, or no hypothesis could be judged.
     """
-    asked = [one for place in places for table, run in _tables(place) for one in _asked(table, run)]
+    asked = [
+        one
+        for place in places
+        for table, run in _tables(place)
+        if numbers is None or int(run.rpartition("/")[2]) in numbers
+        for one in _asked(table, run)
+    ]
     if not asked:
         problem, remedy = "no hypothesis in its logs can be judged", "log runs with a truth and with losses"
         raise InputError(", ".join(map(str, places)), problem, remedy)

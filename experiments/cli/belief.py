@@ -19,6 +19,10 @@ app = typer.Typer(help=_HELP, no_args_is_help=True)
 _Folders = Annotated[
     list[Path], typer.Argument(metavar="BATCH...", help="Folders of batches, or collected logs.")
 ]
+_Runs = Annotated[
+    tuple[int, int] | None,
+    typer.Option("--runs", metavar="FIRST LAST", help="Only runs of these numbers, of every sequence."),
+]
 
 
 @app.command("collect")
@@ -44,26 +48,29 @@ def collect_command(
 def fit_command(
     folders: _Folders,
     out_file: Annotated[Path, typer.Option("--out", metavar="FILE.json", help="For what was fitted.")],
+    runs: _Runs = None,
 ) -> None:
     """Find the model's parameters of most likelihood.
 
     For example:
 
     `dslab belief fit out/places --out fitted.json`
+
+    `dslab belief fit places.parquet --runs 0 3 --out fitted.json` to judge with the others
     """
     from dslab.experiments.belief.fit import fit
     from dslab.experiments.belief.logs import read_logs
     from dslab.experiments.belief.tables import write_fitted
     from dslab.experiments.runs.provenance import commit
 
-    asked = read_logs(folders)
+    asked = read_logs(folders, _numbers(runs))
     counts = {False: 0, True: 0}
     for one in asked:
         counts[one.false] += 1
     say(f"{counts[False]} right and {counts[True]} false hypotheses")
     fitted_to = {
         "batches": [folder.name for folder in folders], "right": counts[False], "false": counts[True],
-        "commit": commit(),
+        "runs": runs, "commit": commit(),
     }  # fmt: skip
     write_fitted(out_file, fit(asked), fitted_to)
     say(f"parameters in {out_file}")
@@ -78,6 +85,7 @@ def judge_command(
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Draw how often is so what is believed.")
     ] = None,
+    runs: _Runs = None,
 ) -> None:
     """Say how often hypotheses are right that are held so likely, beside the rules that decide.
 
@@ -92,7 +100,7 @@ def judge_command(
     from dslab.experiments.belief.plot import draw
     from dslab.experiments.belief.tables import read_fitted
 
-    fitted, asked = read_fitted(fitted_file), read_logs(folders)
+    fitted, asked = read_fitted(fitted_file), read_logs(folders, _numbers(runs))
     false = np.array([one.false for one in asked])
     odds = beliefs(asked, fitted.parameters)
     offset, factor = as_odds(shares(asked), false)
@@ -114,3 +122,7 @@ def judge_command(
     if plot is not None:
         draw(odds, false, plot)
         say(f"plot in {plot}")
+
+
+def _numbers(runs: tuple[int, int] | None) -> range | None:
+    return None if runs is None else range(runs[0], runs[1] + 1)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.slam.belief.model import Sight, Unseen
-from dslab.slam.belief.sight import rigid_of, sight_of
+from dslab.slam.belief.sight import rigid_of, settled, sight_of
 from dslab.slam.core.frame import FrameFeatures
 from dslab.slam.core.relation import Relation
+from dslab.slam.map._map_kernels import median_depth
 from dslab.slam.map.map import Map
 from dslab.slam.map.relation import supposed_relation
 from dslab.slam.map.trajectory import keyframe_trajectory
@@ -23,7 +24,7 @@ class LoggedView:
     Attributes:
         kind: ``relocalization``, ``loop`` or ``join``.
         hypothesis: the map, and the frames of the two views that supposed the place.
-        relation: the keyframes around, and where the view is among them, as supposed.
+        relation: the keyframes around, and where the view is among them: as supposed, and settled there.
         sight: what it should show, and what it shows.
         fault: what speaks against the place by the rules that decide; empty for nothing.
         unseen: the motion to the place.
@@ -70,6 +71,7 @@ def note(
     points: np.ndarray,
     fault: str,
     unseen: Callable[[], Unseen],
+    moved: float | None = None,
 ) -> None:
     """Put a view down, if hypotheses are logged.
 
@@ -80,11 +82,16 @@ def note(
         S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
         features: of the view.
         points: (Q,) int32 points around the place.
+        moved: since the place was supposed, lengths of the map, if the pose comes by another map's path; by
+            default it was tracked in this one.
     """
     views = _log.get()
     if views is None:
         return
     T_cam_map = rigid_of(S_cam_map)
+    if moved is not None:
+        depth = median_depth(map_.arrays, keyframe)
+        T_cam_map = settled(map_, points, T_cam_map, features, depth, moved)
     relation = supposed_relation(map_, keyframe, features, T_cam_map)
     sight = sight_of(map_, points, T_cam_map, features)
     centres = keyframe_trajectory(map_).T_map_cam[:, :3, 3]

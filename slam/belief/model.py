@@ -14,19 +14,21 @@ over evenly spaced nodes.
 
 The alternative is not chance alone. A place that is taken for this one looks as it does in some share γ of
 its surfaces: hardly any in a strange place, half of them where a part repeats itself, nearly all in a room
-furnished alike. Nobody knows which, so γ is of a Beta distribution. Over the surfaces c
+furnished alike. Nobody knows which, so γ is of a Beta distribution. So it is here, where most surfaces are
+as they were and some are covered, or have gone. Over the surfaces c
 
-    L(γ) = Π_c [γ L_c + 1 - γ],  L_here = L(1 - ε),  L_elsewhere = ∫ L(γ) p(γ) dγ,
+    L(γ) = Π_c [γ L_c + 1 - γ],  L_here = ∫ L(γ) h(γ) dγ,  L_elsewhere = ∫ L(γ) e(γ) dγ.
 
-where the share ε of what is here is covered, or has gone. v is integrated for each γ on its own: what is
-missing in some cells and not in others is no smeared view.
+v is integrated for each γ on its own: what is missing in some cells and not in others is no smeared view.
 
 However many surfaces a double shows as they should be, it gains by them as their logarithm only: each tells
 less of what is not known yet, whether it is a double.
 
 Before any view, a supposed place is right with the odds 1 : ρ_0 + ρ r², r how far the camera can have come
 unseen, in median depths: so many places may be taken for it. Beyond r the recording was cut, or the camera
-carried, with the odds κ.
+carried, with the odds κ. The camera of a loop was seen all the way, r: where the loop is right, it is where
+its path says but for what it drifted, of Student's distribution and in the middle δ r; elsewhere it is
+anywhere.
 """
 
 from dataclasses import dataclass
@@ -45,8 +47,11 @@ _LOG_FINE = log_softmax(-0.5 * _FINE**2)
 _BETWEEN = CubicSpline(_V, np.eye(len(_V)))(_FINE)
 """(101, 11): a thousand points tell v so well that logarithms are interpolated between its nodes. With .5
 between these in logits the integral is off by .01; five nodes of Gauss and Hermite are by 20."""
-_SHARE = np.linspace(-5.0, 6.0, 12)  # logit γ
+_SHARE = np.linspace(-5.0, 8.0, 14)  # logit γ
+SHARES = len(_SHARE)
 _CUT = np.log(1e-3)
+_SUREST = 20.0
+"""Logit of a chance that is 1 in double precision soon after, where what is not seen would be impossible."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +66,11 @@ class Parameters:
         view: σ.
         fall: ρ_f.
         surface: τ.
-        covered: ε.
-        alike: both exponents of the Beta distribution of γ.
+        here, alike: both exponents of the Beta distribution of γ, here and elsewhere.
         at_once, per_area: ρ_0 and ρ.
-        of_loops: ρ_0 + ρ r² of a loop, whose camera was seen all the way.
+        of_loops: ρ_0 of a loop.
+        of_joins: how much less likely a join is right than a relocalization, before any view.
+        drift: δ.
     """
 
     offset: float = 0.0
@@ -74,11 +80,13 @@ class Parameters:
     view: float = 0.4
     fall: float = 0.3
     surface: float = 1.0
-    covered: float = 0.01
+    here: tuple[float, float] = (30.0, 0.5)
     alike: tuple[float, float] = (0.5, 0.5)
     at_once: float = 0.1
     per_area: float = 0.1
     of_loops: float = 1.0
+    drift: float = 0.05
+    of_joins: float = 1.0
 
 
 class Sight(NamedTuple):
@@ -106,7 +114,8 @@ class Unseen(NamedTuple):
 
     Attributes:
         since_s: its time; of a loop, since the place was last seen.
-        radius: how far the camera can have come in this time, median depths of the place; NaN if unknown.
+        radius: how far the camera can have come in this time, median depths of the place; NaN if unknown. Of
+            a loop, the length of its path.
         away: how far it would have come, median depths.
     """
 
@@ -134,55 +143,49 @@ def told(sight: Sight, parameters: Parameters) -> np.ndarray:
     fall = parameters.angle * sight.angle + parameters.farther * farther + parameters.nearer * nearer
     usual = logit(rate) + parameters.offset - fall
     of_view = (parameters.view + parameters.fall * fall) * _V[:, None, None]
-    p = expit(usual + of_view + parameters.surface * _Z[None, :, None])
+    p = expit(np.minimum(usual + of_view + parameters.surface * _Z[None, :, None], _SUREST))
     return np.log1p(p * (sight.shown - 1.0))
 
 
-def by_share(of_cell: np.ndarray, parameters: Parameters) -> np.ndarray:
-    """(G + 1, V) logarithms of L(γ) for every share γ, that of here the last.
+def by_share(sight: Sight, parameters: Parameters) -> tuple[np.ndarray, np.ndarray]:
+    """What each surface of a view says.
 
-    Args:
-        of_cell: (V, g) log-ratios of surfaces, as of :func:`by_surface`, the same for every share; or
-            (G + 1, V, g).
-        parameters: of the model.
+    Returns:
+        (G, V, g) logarithms of γ L_c + 1 - γ for every share γ and node of v, z integrated; and (n,) the
+        surface of each point.
     """
-    share = np.append(_SHARE, logit(1 - parameters.covered))[:, None, None]
-    return np.asarray(np.logaddexp(log_expit(share) + of_cell, log_expit(-share)).sum(axis=2))
+    cells, group = np.unique(sight.cell, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    begins = np.searchsorted(group[order], np.arange(len(cells)))
+    sums = np.add.reduceat(told(sight, parameters)[..., order], begins, axis=2)
+    of_cell = logsumexp(sums + _LOG_Z[:, None], axis=1)
+    share = _SHARE[:, None, None]
+    return np.logaddexp(log_expit(share) + of_cell, log_expit(-share)), group
 
 
 def evidence_of(of_share: np.ndarray, parameters: Parameters) -> Evidence:
-    """Of the logarithms (G + 1,) of L(γ)."""
-    elsewhere = logsumexp(of_share[:-1] + log_prior_of_share(parameters))
-    return Evidence(float(of_share[-1]), float(elsewhere))
+    """Of the logarithms (G,) of L(γ)."""
+    here, elsewhere = (
+        logsumexp(of_share + log_prior_of_share(beta)) for beta in (parameters.here, parameters.alike)
+    )
+    return Evidence(float(here), float(elsewhere))
 
 
-def log_prior_of_share(parameters: Parameters) -> np.ndarray:
-    """(G,) logarithms of the chances of each share γ elsewhere."""
-    a, b = parameters.alike
-    log_density = a * log_expit(_SHARE) + b * log_expit(-_SHARE)
+def log_prior_of_share(exponents: tuple[float, float]) -> np.ndarray:
+    """(G,) logarithms of the chances of each share γ by a Beta distribution."""
+    log_density = exponents[0] * log_expit(_SHARE) + exponents[1] * log_expit(-_SHARE)
     return np.asarray(log_density - logsumexp(log_density))
-
-
-def by_surface(ratios: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """(V, g) of each surface, z integrated, of ratios (V, K, n) and the surface (n,) of each."""
-    if not len(group):
-        return np.zeros((len(ratios), 0))
-    group = np.asarray(group, np.int64)
-    order = np.argsort(group, kind="stable")
-    begins = np.flatnonzero(np.diff(group[order], prepend=group[order[0]] - 1))
-    sums = np.add.reduceat(ratios[..., order], begins, axis=2)
-    return np.asarray(logsumexp(sums + _LOG_Z[:, None], axis=1))
 
 
 def over_views(of_share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Integrate v.
 
     Args:
-        of_share: (G + 1, V) logarithms of L(γ) at the nodes of v.
+        of_share: (G, V) logarithms of L(γ) at the nodes of v.
 
     Returns:
-        (G + 1,) logarithms of the integrals; (G + 1, V) weights of the nodes that give a mean over the
-        posterior of v; and (G + 1,) the divergence of that from the prior.
+        (G,) logarithms of the integrals; (G, V) weights of the nodes that give a mean over the posterior of
+        v; and (G,) the divergence of that from the prior.
     """
     fine = of_share @ _BETWEEN.T + _LOG_FINE
     integral = np.asarray(logsumexp(fine, axis=1))
@@ -192,15 +195,18 @@ def over_views(of_share: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def evidence(sight: Sight, parameters: Parameters) -> Evidence:
-    """What one view says."""
-    of_share = by_share(by_surface(told(sight, parameters), sight.cell), parameters)
-    return evidence_of(over_views(of_share)[0], parameters)
+    """What one view says; one that should show nothing says nothing."""
+    if not len(sight.point):
+        return Evidence(0.0, 0.0)
+    return evidence_of(over_views(by_share(sight, parameters)[0].sum(axis=2))[0], parameters)
 
 
-def prior(unseen: Unseen, parameters: Parameters, is_loop: bool) -> float:
-    """Log-odds of a supposed place before any view of it."""
-    if is_loop:
-        return -float(np.log(parameters.of_loops))
+def prior(unseen: Unseen, parameters: Parameters, kind: str) -> float:
+    """Log-odds of a supposed place, ``relocalization``, ``loop`` or ``join``, before any view of it."""
     r = unseen.radius if np.isfinite(unseen.radius) else 0.0
-    odds = -float(np.log(parameters.at_once + parameters.per_area * r * r))
+    if kind == "loop":
+        drifted = unseen.away / max(parameters.drift * r, 1e-9)
+        return -float(np.log(parameters.of_loops * (1 + drifted**2) ** 1.5))
+    of_kind = parameters.of_joins if kind == "join" else 1.0
+    odds = -float(np.log(of_kind * (parameters.at_once + parameters.per_area * r * r)))
     return odds + _CUT if unseen.away > unseen.radius else odds

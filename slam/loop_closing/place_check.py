@@ -143,9 +143,15 @@ def fault_of_view(
     supposed = old.map_id, new.frame_index(first.new_keyframe), old.frame_index(first.old_keyframe)
     note(
         "join", supposed, old, nearest, S_cam_old, features, points, fault,
-        lambda: _unseen(old, new, newest, config.reach),
+        lambda: _unseen(old, new, newest, config.reach), _moved(new, keyframe, newest),
     )  # fmt: skip
     return fault if seen.expected >= config.min_expected else None
+
+
+def _moved(new: Map, keyframe: int, newest: Alignment) -> float:
+    """How far a keyframe is from the one that was aligned, lengths of the other map."""
+    one, other = (camera_centre(new.T_cam_map(k)) for k in (keyframe, newest.new_keyframe))
+    return float(np.cbrt(np.linalg.det(newest.S_old_new[:3, :3])) * np.linalg.norm(one - other))
 
 
 def _nearest(map_: Map, S_cam_map: np.ndarray) -> int:
@@ -187,10 +193,13 @@ def _unseen(old: Map, new: Map, found: Alignment, config: ReachConfig) -> Unseen
     """The motion that an alignment supposes: between two maps, or within one."""
     depth = kernels.median_depth(old.arrays, found.old_keyframe) or np.nan
     if old is new:
-        since_s = new.features(found.new_keyframe).stamp_s - old.features(found.old_keyframe).stamp_s
+        ends_s = [m.features(k).stamp_s for m, k in ((old, found.old_keyframe), (new, found.new_keyframe))]
+        path, since_s = keyframe_trajectory(new), ends_s[1] - ends_s[0]
+        between = path.T_map_cam[(path.stamps_s >= min(ends_s)) & (path.stamps_s <= max(ends_s)), :3, 3]
+        gone = float(np.linalg.norm(np.diff(between, axis=0), axis=1).sum())
         centre = camera_centre(new.T_cam_map(found.new_keyframe))
         moved = found.S_old_new[:3, :3] @ centre + found.S_old_new[:3, 3]
-        return Unseen(since_s, np.nan, float(np.linalg.norm(moved - centre)) / depth)
+        return Unseen(since_s, gone / depth, float(np.linalg.norm(moved - centre)) / depth)
     start, centre, stamp_s = _start(old, new, found.S_old_new, config)
     if start is None:
         return Unseen(_gap(keyframe_trajectory(old), keyframe_trajectory(new))[0])
@@ -228,7 +237,18 @@ def _one_way(
         seen = support(there, points, S_cam_there, here.features(k), config.radius_px, near=far)
         fault = bar.fault(seen)
         kind, supposed = "loop" if here is there else "join", (there.map_id, log.new_frame, log.old_frame)
-        note(kind, supposed, there, there_side[0], S_cam_there, here.features(k), points, fault, log.unseen)
+        note(
+            kind,
+            supposed,
+            there,
+            there_side[0],
+            S_cam_there,
+            here.features(k),
+            points,
+            fault,
+            log.unseen,
+            0.0,
+        )
         if seen.expected >= config.min_expected:
             faults.append(fault)
     if not faults:

@@ -11,13 +11,13 @@ from dslab.experiments.belief.judge import beliefs, judge
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.model import Parameters, Unseen
 
-TRUE = Parameters(0.5, 7.0, 2.5, 0.5, 0.5, 0.2, 1.4, 0.02, (2.0, 0.5))
+TRUE = Parameters(0.5, 7.0, 2.5, 0.5, 0.5, 0.2, 1.4, (30.0, 0.5), (2.0, 0.5))
 MOTION = Unseen(3.0, 1.0, 0.5)
 
 
 def drawn(n, seed):
     rng = np.random.default_rng(seed)
-    alike = np.append(np.full(n, 1 - TRUE.covered), rng.beta(*TRUE.alike, n))
+    alike = np.append(rng.beta(*TRUE.here, n), rng.beta(*TRUE.alike, n))
     return [Asked(str(i), "join", i >= n, MOTION, (seen(rng, a, TRUE),), ("",)) for i, a in enumerate(alike)]
 
 

@@ -8,6 +8,7 @@ from slam_scenes import PointWorld, pose_error, rigid, walk
 
 from dslab.slam.belief.log import logged
 from dslab.slam.belief.model import Parameters, evidence
+from dslab.slam.belief.sight import settled, sight_of
 from dslab.slam.loop_closing.map_alignment import Sim3AlignmentConfig, align
 from dslab.slam.loop_closing.place_check import PlaceCheckConfig, fault_of_alignment
 from dslab.slam.tracking.reach import ReachConfig
@@ -64,6 +65,18 @@ def test_a_view_that_is_elsewhere_speaks_against_it(aligned):
     views, fault = views_of(old, new, aside)
     assert fault and views
     assert max(evidence(v.sight, Parameters()).here for v in views) < -5
+
+
+def test_a_view_that_was_carried_off_settles_where_it_is_and_one_that_is_elsewhere_does_not(aligned):
+    old, _, _ = aligned
+    T, features, points = old.T_cam_map(6), old.features(6), np.unique(old.observed_points(6))
+    points = points[points >= 0].astype(np.int32)
+    carried = rigid((0.12, -0.05, 0.1), (0.5, 2.5, 0.0)) @ T
+    says = lambda T: evidence(sight_of(old, points, T, features), Parameters()).here  # noqa: E731
+    back = settled(old, points, carried, features, 3.0, 3.0)
+    assert pose_error(back @ np.linalg.inv(T), np.eye(4))[0] < 0.02 and says(back) > 2 * says(carried)
+    away = rigid((1.5, 0.0, 0.0)) @ T
+    assert says(settled(old, points, away, features, 3.0, 3.0)) < 0
 
 
 def test_nothing_is_logged_unless_it_is_asked_for(aligned):

@@ -16,25 +16,25 @@ def slope(odds, here):
     return minimize_scalar(loss, bounds=(0.01, 10), method="bounded").x
 
 
-def told_of(alike, parameters, n=600, seed=0):
-    """(2 n,) evidence of views here and, after them, of places alike, with the share of cells that is so."""
-    rng = np.random.default_rng(seed)
-    return [evidence(seen(rng, a, most_cells=3), parameters) for a in [1.0] * n + [alike] * n], np.arange(
-        2 * n
-    ) < n
+def told_of(parameters, n=600, seed=0):
+    """(2 n,) evidence of views here and, after them, of strange places; surfaces come and go together."""
+    rng, given = np.random.default_rng(seed), replace(GIVEN, surface=2.0)
+    alike = np.append(rng.beta(*GIVEN.here, n), np.zeros(n))
+    found = [evidence(seen(rng, a, given, most_cells=3), replace(given, **parameters)) for a in alike]
+    return found, np.arange(2 * n) < n
 
 
 def test_against_chance_the_odds_are_calibrated_and_without_surfaces_they_are_not():
-    found, here = told_of(0.0, GIVEN)
+    found, here = told_of({})
     assert 0.8 < slope(np.array([e.here for e in found]), here) < 1.25
-    alone, here = told_of(0.0, replace(GIVEN, surface=0.0, view=0.0))
+    alone, here = told_of({"surface": 0.0})
     assert slope(np.array([e.here for e in alone]), here) < 0.7
 
 
 def test_a_place_alike_is_told_by_its_own_alternative_and_by_chance_it_is_believed():
     rng = np.random.default_rng(0)
     given = replace(GIVEN, alike=(3.0, 0.5))
-    alike = np.append(np.ones(600), rng.beta(*given.alike, 600))
+    alike = np.append(rng.beta(*given.here, 600), rng.beta(*given.alike, 600))
     found, here = [evidence(seen(rng, a), given) for a in alike], np.arange(1200) < 600
     against = np.array([e.ratio for e in found])
     assert 0.8 < slope(against, here) < 1.25
@@ -57,10 +57,17 @@ def test_a_double_gains_by_all_that_it_shows_as_the_logarithm_only():
 
 
 def test_the_farther_a_camera_can_have_come_the_more_places_are_taken_for_the_one():
-    near, far = (prior(Unseen(1.0, r, 0.5), GIVEN, False) for r in (1.0, 100.0))
+    near, far = (prior(Unseen(1.0, r, 0.5), GIVEN, "relocalization") for r in (1.0, 100.0))
     assert near - far == pytest.approx(np.log((GIVEN.at_once + 1e4 * GIVEN.per_area) / 0.2))
-    beyond = prior(Unseen(1.0, 1.0, 1.5), GIVEN, False)
+    beyond = prior(Unseen(1.0, 1.0, 1.5), GIVEN, "relocalization")
     assert near - beyond == pytest.approx(np.log(1000))
+
+
+def test_a_loop_is_where_the_path_says_but_for_its_drift():
+    """And not at once beyond it: a camera that drifted ten times as far is as likely as a cut, no more."""
+    odds = [prior(Unseen(20.0, 10.0, away), GIVEN, "loop") for away in (0.0, 0.5, 5.0)]
+    assert odds[0] == pytest.approx(-np.log(GIVEN.of_loops))
+    assert odds[0] - odds[1] == pytest.approx(1.5 * np.log(2)) and 6 < odds[0] - odds[2] < 8
 
 
 def test_a_view_without_points_says_nothing():
