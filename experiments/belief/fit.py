@@ -69,14 +69,14 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
     names = ("at_once", "per_area", "of_loops", "drift", "of_joins")
     false = np.array([one.false for one in asked])
     of_share = np.array([Ledger(parameters, one.sights).by_share() for one in asked])
-    here = logsumexp(of_share + log_prior_of_share(parameters.here), axis=1)
+    here = np.asarray(logsumexp(of_share + log_prior_of_share(parameters.here), axis=1))
     runs = len({one.run for one in asked})
     x = np.log([*parameters.alike, *(getattr(parameters, name) for name in names)])
     broad = np.append(np.zeros(2), x[2:])
 
     def loss(y: np.ndarray) -> float:
         p = of(y)
-        elsewhere = logsumexp(of_share + log_prior_of_share(p.alike), axis=1)
+        elsewhere = np.asarray(logsumexp(of_share + log_prior_of_share(p.alike), axis=1))
         odds = here - elsewhere + [prior(one.unseen, p, one.kind) for one in asked]
         mean = float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
         return runs * mean + 0.5 * float((((y - broad) / _BROAD) ** 2).sum())
