@@ -21,7 +21,7 @@ from dslab.slam.belief.model import (
 _MOST_VIEWS = 100
 """Of right hypotheses, one of each at most: views of one say much the same."""
 _BOUNDS = [(-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.5), (0.01, 3.0), (0.0, 7.0), (-3.0, 1.0)]
-_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 3.0, 1.0, 3.0])
+_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 1.0, 3.0])
 """Deviations of the logarithms of what alternatives are, before any log: worlds are fewer than hypotheses,
 and where all of these can be told apart nothing would hold the exponents."""
 
@@ -66,7 +66,7 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
         a, b, *others = map(float, np.exp(np.clip(x, -12.0, 12.0)))
         return replace(parameters, alike=(a, b), **dict(zip(names, others, strict=True)))
 
-    names = ("at_once", "per_area", "of_loops", "drift", "of_joins")
+    names = ("doubles", "of_loops", "drift", "of_joins")
     false = np.array([one.false for one in asked])
     of_share = np.array([Ledger(parameters, one.sights).by_share() for one in asked])
     here = np.asarray(logsumexp(of_share + log_prior_of_share(parameters.here), axis=1))

@@ -24,11 +24,11 @@ v is integrated for each γ on its own: what is missing in some cells and not in
 However many surfaces a double shows as they should be, it gains by them as their logarithm only: each tells
 less of what is not known yet, whether it is a double.
 
-Before any view, a supposed place is right with the odds 1 : ρ_0 + ρ r², r how far the camera can have come
-unseen, in median depths: so many places may be taken for it. Beyond r the recording was cut, or the camera
-carried, with the odds κ. The camera of a loop was seen all the way, r: where the loop is right, it is where
-its path says but for what it drifted, of Student's distribution and in the middle δ r; elsewhere it is
-anywhere.
+Before any view, a supposed place is right with the odds 1 : ρ log(1 + r²), r how far the camera can have
+come unseen, in median depths: it has come as likely one to two as two to four of them, and the more places
+it passes the more are taken for this one. Beyond r the recording was cut, or the camera carried, with the
+odds κ. The camera of a loop was seen all the way, r: where the loop is right, it is where its path says but
+for what it drifted, of Student's distribution and in the middle δ r; elsewhere it is anywhere.
 """
 
 from dataclasses import dataclass
@@ -50,6 +50,8 @@ between these in logits the integral is off by .01; five nodes of Gauss and Herm
 _SHARE = np.linspace(-5.0, 8.0, 14)  # logit γ
 SHARES = len(_SHARE)
 _CUT = np.log(1e-3)
+_LEAST = 0.01
+"""Of r: a place at which a camera has just been is not sure."""
 _SUREST = 20.0
 """Logit of a chance that is 1 in double precision soon after, where what is not seen would be impossible."""
 
@@ -67,8 +69,8 @@ class Parameters:
         fall: ρ_f.
         surface: τ.
         here, alike: both exponents of the Beta distribution of γ, here and elsewhere.
-        at_once, per_area: ρ_0 and ρ.
-        of_loops: ρ_0 of a loop.
+        doubles: ρ.
+        of_loops: odds that a loop without any drift is none.
         of_joins: how much less likely a join is right than a relocalization, before any view.
         drift: δ.
     """
@@ -82,8 +84,7 @@ class Parameters:
     surface: float = 1.0
     here: tuple[float, float] = (30.0, 0.5)
     alike: tuple[float, float] = (0.5, 0.5)
-    at_once: float = 0.1
-    per_area: float = 0.1
+    doubles: float = 0.3
     of_loops: float = 1.0
     drift: float = 0.05
     of_joins: float = 1.0
@@ -208,5 +209,5 @@ def prior(unseen: Unseen, parameters: Parameters, kind: str) -> float:
         drifted = unseen.away / max(parameters.drift * r, 1e-9)
         return -float(np.log(parameters.of_loops * (1 + drifted**2) ** 1.5))
     of_kind = parameters.of_joins if kind == "join" else 1.0
-    odds = -float(np.log(of_kind * (parameters.at_once + parameters.per_area * r * r)))
+    odds = -float(np.log(of_kind * parameters.doubles * np.log1p(max(r, _LEAST) ** 2)))
     return odds + _CUT if unseen.away > unseen.radius else odds

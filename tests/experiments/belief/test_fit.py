@@ -32,6 +32,6 @@ def test_parameters_are_found_again_and_with_them_beliefs_are_as_often_right_as_
     assert found.surface == pytest.approx(TRUE.surface, rel=0.35)
     others = drawn(300, 1)
     false = np.array([one.false for one in others])
-    exact = replace(TRUE, at_once=1.0, per_area=0.0)
+    exact = replace(TRUE, doubles=1 / np.log(2))
     by = [judge(beliefs(others, p), false) for p in (found, exact)]
     assert 0.7 < by[0].slope < 1.4 and by[0].loss < by[1].loss + 0.03

@@ -58,7 +58,7 @@ def test_a_double_gains_by_all_that_it_shows_as_the_logarithm_only():
 
 def test_the_farther_a_camera_can_have_come_the_more_places_are_taken_for_the_one():
     near, far = (prior(Unseen(1.0, r, 0.5), GIVEN, "relocalization") for r in (1.0, 100.0))
-    assert near - far == pytest.approx(np.log((GIVEN.at_once + 1e4 * GIVEN.per_area) / 0.2))
+    assert near - far == pytest.approx(np.log(np.log(10001) / np.log(2)))
     beyond = prior(Unseen(1.0, 1.0, 1.5), GIVEN, "relocalization")
     assert near - beyond == pytest.approx(np.log(1000))
 
