@@ -20,7 +20,7 @@ from dslab.slam.belief.model import (
 
 _MOST_VIEWS = 100
 """Of right hypotheses, one of each at most: views of one say much the same."""
-_BOUNDS = [(-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.5), (0.01, 3.0), (0.0, 7.0), (-3.0, 1.0)]
+_BOUNDS = [(0.1, 1.5), (-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.5), (0.01, 3.0), (0.0, 7.0), (-3.0, 1.0)]
 _BROAD = np.array([1.0, 1.0, 3.0, 3.0, 1.0, 3.0])
 """Deviations of the logarithms of what alternatives are, before any log: worlds are fewer than hypotheses,
 and where all of these can be told apart nothing would hold the exponents."""
@@ -46,11 +46,11 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
         raise InputError("the logs", problem, "add batches of worlds that repeat themselves, with losses")
 
     def of(x: np.ndarray) -> Parameters:
-        names = ("offset", "angle", "farther", "nearer", "view", "fall", "surface")
-        here = float(np.exp(x[7])), float(np.exp(x[8]))
-        return replace(start, **dict(zip(names, map(float, x[:7]), strict=True)), here=here)
+        names = ("rate", "offset", "angle", "farther", "nearer", "view", "fall", "surface")
+        here = float(np.exp(x[8])), float(np.exp(x[9]))
+        return replace(start, **dict(zip(names, map(float, x[:8]), strict=True)), here=here)
 
-    x = np.array([start.offset, start.angle, start.farther, start.nearer, start.view, start.fall])
+    x = np.array([start.rate, start.offset, start.angle, start.farther, start.nearer, start.view, start.fall])
     x = np.append(x, [start.surface, *np.log(start.here)])
     found = minimize(
         lambda x: -np.mean([evidence(sight, of(x)).here for sight in right]), x, bounds=_BOUNDS,

@@ -4,9 +4,7 @@ import numpy as np
 from numba import njit
 
 from dslab.slam.association._kernels import CELLS, camera_at, expected_view, likeliest, spread_of_pixel
-
-_BORDER_PX = 20.0
-"""No features are extracted nearer to the border of an image."""
+from dslab.slam.features._orb_kernels import BORDER_PX
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -44,13 +42,18 @@ def look(
         u, v, level = expected_view(
             view, T_cam_map, centre, m.pt_xyz[p], m.pt_normal[p], m.pt_max_distance[p]
         )
-        inside = view.x_min + _BORDER_PX <= u < view.x_max - _BORDER_PX
-        if np.isnan(level) or not inside or not view.y_min + _BORDER_PX <= v < view.y_max - _BORDER_PX:
+        if np.isnan(level):
+            continue
+        expected = min(max(int(level + 0.5), 0), len(view.scale) - 1)
+        border = BORDER_PX * view.scale[expected]  # nearer to it nothing is extracted
+        if not view.x_min + border <= u < view.x_max - border:
+            continue
+        if not view.y_min + border <= v < view.y_max - border:
             continue
         u, v, _, uu, uv, vv = spread_of_pixel(
             view, T_cam_map, m.pt_xyz[p], m.pt_covariance[p], noise2, exact, J
         )
-        loose = loose2 / view.inv_sigma2[min(max(int(level + 0.5), 0), len(view.scale) - 1)]
+        loose = loose2 / view.inv_sigma2[expected]
         _, _, _, total = likeliest(
             view, xy, octave, descriptors, cell_start, first, u, v, uu + loose, uv, vv + loose, noise2, level,
             density, 1.0, m.pt_descriptor[p], odds,

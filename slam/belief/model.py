@@ -2,9 +2,9 @@
 
 A point that the view should show is seen with the chance
 
-    logit p = logit r + b - f + (σ + ρ_f f) v + τ z,    f = a θ + c √ζ⁺ + d ζ⁻,
+    logit p = ω logit r + b - f + (σ + ρ_f f) v + τ z,    f = a θ + c √ζ⁺ + d ζ⁻,
 
-with the rate r at which it was found so far, and the change θ, ζ of the direction and of the logarithm of the
+with the rate r at which it was found so far, which says less of what comes (ω < 1), and the change θ, ζ of the direction and of the logarithm of the
 distance since it was seen from nearest: what has come nearer is found as before, what has gone farther is
 soon smaller than what is extracted. v is the view's own, standard normal: a smeared view shows less of
 everything, and how much is lost by seeing from elsewhere differs from place to place. z is the cell's own,
@@ -61,6 +61,7 @@ class Parameters:
     """Of the model, as ``dslab belief fit`` finds them.
 
     Attributes:
+        rate: ω.
         offset: b.
         angle: a, per rad.
         farther: c, per root of a doubling of the distance.
@@ -75,6 +76,7 @@ class Parameters:
         drift: δ.
     """
 
+    rate: float = 1.0
     offset: float = 0.0
     angle: float = 4.0
     farther: float = 2.0
@@ -142,7 +144,7 @@ def told(sight: Sight, parameters: Parameters) -> np.ndarray:
     rate = (sight.found + 1.0) / (sight.visible + 2.0)
     farther, nearer = np.sqrt(np.maximum(sight.zoom, 0.0)), np.maximum(-sight.zoom, 0.0)
     fall = parameters.angle * sight.angle + parameters.farther * farther + parameters.nearer * nearer
-    usual = logit(rate) + parameters.offset - fall
+    usual = parameters.rate * logit(rate) + parameters.offset - fall
     of_view = (parameters.view + parameters.fall * fall) * _V[:, None, None]
     p = expit(np.minimum(usual + of_view + parameters.surface * _Z[None, :, None], _SUREST))
     return np.log1p(p * (sight.shown - 1.0))

@@ -22,7 +22,7 @@ def seen(rng, alike, given=GIVEN, most_cells=14):
         + given.farther * np.sqrt(np.maximum(zoom, 0))
         + given.nearer * np.maximum(-zoom, 0)
     )
-    usual = logit((found + 1) / (visible + 2)) + given.offset - fall
+    usual = given.rate * logit((found + 1) / (visible + 2)) + given.offset - fall
     usual += (given.view + given.fall * fall) * rng.normal() + given.surface * rng.normal(size=cells)[cell]
     shows = (rng.random(n) < expit(usual)) & (rng.random(cells) < alike)[cell]
     x = rng.normal(APART * shows, 1.0)

@@ -11,7 +11,7 @@ from dslab.experiments.belief.judge import beliefs, judge
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.model import Parameters, Unseen
 
-TRUE = Parameters(0.5, 7.0, 2.5, 0.5, 0.5, 0.2, 1.4, (30.0, 0.5), (2.0, 0.5))
+TRUE = Parameters(0.8, 0.5, 7.0, 2.5, 0.5, 0.5, 0.2, 1.4, (30.0, 0.5), (2.0, 0.5))
 MOTION = Unseen(3.0, 1.0, 0.5)
 
 
@@ -24,6 +24,7 @@ def drawn(n, seed):
 @pytest.mark.slow
 def test_parameters_are_found_again_and_with_them_beliefs_are_as_often_right_as_they_say():
     found = fit(drawn(300, 0))
+    assert found.rate == pytest.approx(TRUE.rate, abs=0.2)
     assert found.offset == pytest.approx(TRUE.offset, abs=0.4)
     assert found.angle == pytest.approx(TRUE.angle, rel=0.4)
     assert found.farther == pytest.approx(TRUE.farther, abs=0.6)
