@@ -5,23 +5,25 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import logsumexp
+from scipy.special import expit, logit
 
 from dslab.experiments.belief.logs import Asked
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.ledger import Ledger
 from dslab.slam.belief.model import (
+    SHARES,
     Parameters,
     Sight,
     evidence,
-    log_prior_of_share,
+    over_parts,
     prior,
 )
 
 _MOST_VIEWS = 100
 """Of right hypotheses, one of each at most: views of one say much the same."""
-_BOUNDS = [(0.1, 1.5), (-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.5), (0.01, 3.0), (0.0, 7.0), (-3.0, 1.0)]
-_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 1.0, 3.0])
+_BOUNDS = [(0.1, 1.5), (-3.0, 3.0), *[(0.0, 50.0)] * 3, (0.01, 1.5), (0.0, 1.5), (0.01, 3.0)]
+_BOUNDS += [(0.0, 7.0), (-3.0, 1.0)]
+_BROAD = np.array([1.0, 1.0, 3.0, 3.0, 1.0, 3.0, 2.0])
 """Deviations of the logarithms of what alternatives are, before any log: worlds are fewer than hypotheses,
 and where all of these can be told apart nothing would hold the exponents."""
 
@@ -63,20 +65,26 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
     """What places are taken for others, and how often, so that beliefs are as often right as they say."""
 
     def of(x: np.ndarray) -> Parameters:
-        a, b, *others = map(float, np.exp(np.clip(x, -12.0, 12.0)))
-        return replace(parameters, alike=(a, b), **dict(zip(names, others, strict=True)))
+        a, b, *others = map(float, np.exp(np.clip(x[:-1], -12.0, 12.0)))
+        return replace(
+            parameters, alike=(a, b), lasting=float(expit(np.clip(x[-1], -9.0, 9.0))),
+            **dict(zip(names, others, strict=True)),
+        )  # fmt: skip
 
     names = ("doubles", "of_loops", "drift", "of_joins")
     false = np.array([one.false for one in asked])
-    of_share = np.array([Ledger(parameters, one.sights).by_share() for one in asked])
-    here = np.asarray(logsumexp(of_share + log_prior_of_share(parameters.here), axis=1))
+    told = [Ledger(parameters, one.sights).by_part() for one in asked]
+    of_parts = np.zeros((len(told), max(map(len, told)), SHARES))
+    for row, parts in zip(of_parts, told, strict=True):
+        row[: len(parts)] = parts
     runs = len({one.run for one in asked})
     x = np.log([*parameters.alike, *(getattr(parameters, name) for name in names)])
+    x = np.append(x, logit(parameters.lasting))
     broad = np.append(np.zeros(2), x[2:])
 
     def loss(y: np.ndarray) -> float:
         p = of(y)
-        elsewhere = np.asarray(logsumexp(of_share + log_prior_of_share(p.alike), axis=1))
+        here, elsewhere = (over_parts(of_parts, beta, p.lasting) for beta in (p.here, p.alike))
         odds = here - elsewhere + [prior(one.unseen, p, one.kind) for one in asked]
         mean = float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
         return runs * mean + 0.5 * float((((y - broad) / _BROAD) ** 2).sum())

@@ -14,9 +14,9 @@ from dslab.slam.belief.model import Unseen
 from dslab.slam.core.relation import Relation
 
 HYPOTHESES_FILE = "hypotheses.parquet"
-_POINTS = {
+_SIGHT = {
     "point": np.int32, "cell": np.uint8, "shown": np.float32, "found": np.uint16, "visible": np.uint16,
-    "angle": np.float32, "zoom": np.float32,
+    "angle": np.float32, "zoom": np.float32, "centre": np.float32,
 }  # fmt: skip
 
 
@@ -44,10 +44,10 @@ def hypotheses(views: Sequence[LoggedView], truth: Truth) -> pd.DataFrame:
                 "false": false, "error_over_bound": off, "reason": reason,
             }
             | view.unseen._asdict()
-            | {name: getattr(view.sight, name).astype(kind) for name, kind in _POINTS.items()}
+            | {name: getattr(view.sight, name).astype(kind) for name, kind in _SIGHT.items()}
         )  # fmt: skip
     columns = ["kind", "map", "supposed_by", "place", "frame", "stamp_s", "fault", *Unseen._fields]
-    columns += ["explored", "doubles", "proposes", "false", "error_over_bound", "reason", *_POINTS]
+    columns += ["explored", "doubles", "proposes", "false", "error_over_bound", "reason", *_SIGHT]
     table = pd.DataFrame(rows, columns=columns)
     return table.astype({"false": "boolean", "error_over_bound": float})
 

@@ -89,11 +89,11 @@ def note(
     if views is None:
         return
     T_cam_map = rigid_of(S_cam_map)
+    depth = median_depth(map_.arrays, keyframe)
     if moved is not None:
-        depth = median_depth(map_.arrays, keyframe)
         T_cam_map = settled(map_, points, T_cam_map, features, depth, moved)
     relation = supposed_relation(map_, keyframe, features, T_cam_map)
-    sight = sight_of(map_, points, T_cam_map, features)
+    sight = sight_of(map_, points, T_cam_map, features, depth)
     centres = keyframe_trajectory(map_).T_map_cam[:, :3, 3]
     explored = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum() / relation.depth)
     doubles = len(map_.look_alikes)

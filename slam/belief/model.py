@@ -4,9 +4,10 @@ A point that the view should show is seen with the chance
 
     logit p = ω logit r + b - f + (σ + ρ_f f) v + τ z,    f = a θ + c √ζ⁺ + d ζ⁻,
 
-with the rate r at which it was found so far, which says less of what comes (ω < 1), and the change θ, ζ of the direction and of the logarithm of the
-distance since it was seen from nearest: what has come nearer is found as before, what has gone farther is
-soon smaller than what is extracted. v is the view's own, standard normal: a smeared view shows less of
+with the rate r at which it was found so far, which says less of what comes (ω < 1), and the change θ, ζ of
+the direction and of the logarithm of the distance since it was seen from nearest: what has come nearer is
+found as before, what has gone farther is soon smaller than what is extracted. v is the view's own, standard
+normal: a smeared view shows less of
 everything, and how much is lost by seeing from elsewhere differs from place to place. z is the cell's own,
 standard normal: points of one surface come and go together. With the likelihood ratio g
 of the keypoints that are at its place, it is 1 - p + p g times as likely as by chance. z and v are integrated
@@ -22,7 +23,8 @@ as they were and some are covered, or have gone. Over the surfaces c
 v is integrated for each γ on its own: what is missing in some cells and not in others is no smeared view.
 
 However many surfaces a double shows as they should be, it gains by them as their logarithm only: each tells
-less of what is not known yet, whether it is a double.
+less of what is not known yet, whether it is a double. But no double is one for ever. Views from elsewhere
+see other sides of it, so γ is that of the part of the path before with the chance κ, and another one else.
 
 Before any view, a supposed place is right with the odds 1 : ρ log(1 + r²), r how far the camera can have
 come unseen, in median depths: it has come as likely one to two as two to four of them, and the more places
@@ -70,6 +72,7 @@ class Parameters:
         fall: ρ_f.
         surface: τ.
         here, alike: both exponents of the Beta distribution of γ, here and elsewhere.
+        lasting: κ.
         doubles: ρ.
         of_loops: odds that a loop without any drift is none.
         of_joins: how much less likely a join is right than a relocalization, before any view.
@@ -86,6 +89,7 @@ class Parameters:
     surface: float = 1.0
     here: tuple[float, float] = (30.0, 0.5)
     alike: tuple[float, float] = (0.5, 0.5)
+    lasting: float = 0.6
     doubles: float = 0.3
     of_loops: float = 1.0
     drift: float = 0.05
@@ -101,6 +105,7 @@ class Sight(NamedTuple):
         shown: (n,) g, how much likelier the keypoints at its place are if one of them shows the point.
         found, visible: (n,) frames so far in which the point was found, and should have been.
         angle, zoom: (n,) θ, rad, and ζ.
+        centre: (3,) of the camera, median depths of the place.
     """
 
     point: np.ndarray
@@ -110,6 +115,7 @@ class Sight(NamedTuple):
     visible: np.ndarray
     angle: np.ndarray
     zoom: np.ndarray
+    centre: np.ndarray
 
 
 class Unseen(NamedTuple):
@@ -166,12 +172,28 @@ def by_share(sight: Sight, parameters: Parameters) -> tuple[np.ndarray, np.ndarr
     return np.logaddexp(log_expit(share) + of_cell, log_expit(-share)), group
 
 
-def evidence_of(of_share: np.ndarray, parameters: Parameters) -> Evidence:
-    """Of the logarithms (G,) of L(γ)."""
+def evidence_of(of_parts: np.ndarray, parameters: Parameters) -> Evidence:
+    """Of the logarithms (K, G) of L(γ) by the parts of a path, in order."""
     here, elsewhere = (
-        logsumexp(of_share + log_prior_of_share(beta)) for beta in (parameters.here, parameters.alike)
+        over_parts(of_parts, beta, parameters.lasting) for beta in (parameters.here, parameters.alike)
     )
     return Evidence(float(here), float(elsewhere))
+
+
+def over_parts(of_parts: np.ndarray, exponents: tuple[float, float], lasting: float) -> np.ndarray:
+    """Logarithm of the integral over all shares γ, each lasting from part to part with a chance.
+
+    Args:
+        of_parts: (..., K, G) logarithms of L(γ); parts of zeros at the end say nothing.
+        exponents: of the Beta distribution of γ.
+        lasting: κ.
+    """
+    log_prior = log_prior_of_share(exponents)
+    told = log_prior + of_parts[..., 0, :]
+    for k in range(1, of_parts.shape[-2]):
+        other = log_prior + np.asarray(logsumexp(told, axis=-1, keepdims=True))
+        told = np.logaddexp(np.log(lasting) + told, np.log1p(-lasting) + other) + of_parts[..., k, :]
+    return np.asarray(logsumexp(told, axis=-1))
 
 
 def log_prior_of_share(exponents: tuple[float, float]) -> np.ndarray:
@@ -201,7 +223,7 @@ def evidence(sight: Sight, parameters: Parameters) -> Evidence:
     """What one view says; one that should show nothing says nothing."""
     if not len(sight.point):
         return Evidence(0.0, 0.0)
-    return evidence_of(over_views(by_share(sight, parameters)[0].sum(axis=2))[0], parameters)
+    return evidence_of(over_views(by_share(sight, parameters)[0].sum(axis=2))[0][None], parameters)
 
 
 def prior(unseen: Unseen, parameters: Parameters, kind: str) -> float:

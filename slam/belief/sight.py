@@ -8,6 +8,7 @@ from dslab.slam.association.placing import LEAST_RIGHT, refine, take_matches
 from dslab.slam.belief import _sight_kernels as kernels
 from dslab.slam.belief.model import Sight
 from dslab.slam.core.frame import Frame, FrameFeatures
+from dslab.slam.core.geometry import camera_centre
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose
 
@@ -17,7 +18,9 @@ _DRIFT = 0.05
 """Of a path, by which it is wrong at its end: .04 by what loops have shown, and a little more."""
 
 
-def sight_of(map_: Map, points: np.ndarray, S_cam_map: np.ndarray, features: FrameFeatures) -> Sight:
+def sight_of(
+    map_: Map, points: np.ndarray, S_cam_map: np.ndarray, features: FrameFeatures, depth: float
+) -> Sight:
     """What a view should show of points of a map, and what it shows.
 
     Args:
@@ -25,6 +28,7 @@ def sight_of(map_: Map, points: np.ndarray, S_cam_map: np.ndarray, features: Fra
         points: (Q,) int32 rows of its points around the place.
         S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
         features: of the view.
+        depth: median one of the place.
     """
     a, view = map_.arrays, map_.view
     image_px2 = (view.x_max - view.x_min) * (view.y_max - view.y_min)
@@ -34,7 +38,8 @@ def sight_of(map_: Map, points: np.ndarray, S_cam_map: np.ndarray, features: Fra
         density_of(features.octave, len(view.scale), image_px2), odds_by_distance(),
     )  # fmt: skip
     found, visible = (counts[point].astype(np.float64) for counts in (a.pt_found, a.pt_visible))
-    return Sight(point, cell, shown, found, visible, angle, zoom)
+    centre = camera_centre(rigid_of(S_cam_map)) / (depth or 1.0)
+    return Sight(point, cell, shown, found, visible, angle, zoom, centre)
 
 
 def settled(

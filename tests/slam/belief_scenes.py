@@ -26,4 +26,6 @@ def seen(rng, alike, given=GIVEN, most_cells=14):
     usual += (given.view + given.fall * fall) * rng.normal() + given.surface * rng.normal(size=cells)[cell]
     shows = (rng.random(n) < expit(usual)) & (rng.random(cells) < alike)[cell]
     x = rng.normal(APART * shows, 1.0)
-    return Sight(np.arange(n), cell, np.exp(APART * x - APART**2 / 2), found, visible, angle, zoom)
+    return Sight(
+        np.arange(n), cell, np.exp(APART * x - APART**2 / 2), found, visible, angle, zoom, np.zeros(3)
+    )

@@ -9,7 +9,7 @@ from dslab.slam.belief.log import LoggedView
 from dslab.slam.belief.model import Sight, Unseen
 
 UNSEEN = Unseen(3.0, 2.0, 1.0)
-SIGHT = Sight(*(np.arange(3) for _ in range(7)))
+SIGHT = Sight(*(np.arange(3) for _ in range(8)))
 
 
 def logged(relation, supposed_by=500):

@@ -44,8 +44,18 @@ def test_surfaces_that_come_and_go_are_those_of_a_place_alike():
     assert ledger_of(*shown).evidence().ratio < -2
 
 
+def test_from_elsewhere_the_same_points_are_asked_anew_and_a_double_seldom_lasts():
+    (view,) = views(1, seed=6)
+    moved = [view._replace(centre=np.array([x, 0.0, 0.0])) for x in np.arange(0, 3, 0.3)]
+    still = [view._replace(centre=np.array([x, 0.0, 0.0])) for x in np.arange(0, 0.1, 0.01)]
+    one, on, there = (ledger_of(*s).evidence().ratio for s in ([view], moved, still))
+    assert there == pytest.approx(one) and on > one + 2
+    # And back where it was it says no more.
+    assert ledger_of(*moved, *moved).evidence().ratio == pytest.approx(on)
+
+
 def test_a_view_that_should_show_nothing_says_nothing():
     (view,) = views()
-    nothing = view._replace(**{name: getattr(view, name)[:0] for name in view._fields})
+    nothing = view._replace(**{name: getattr(view, name)[:0] for name in view._fields[:-1]})
     ledger = ledger_of(nothing)
     assert ledger.views == 0 and tuple(ledger.evidence()) == pytest.approx((0.0, 0.0))

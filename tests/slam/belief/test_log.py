@@ -72,7 +72,7 @@ def test_a_view_that_was_carried_off_settles_where_it_is_and_one_that_is_elsewhe
     T, features, points = old.T_cam_map(6), old.features(6), np.unique(old.observed_points(6))
     points = points[points >= 0].astype(np.int32)
     carried = rigid((0.12, -0.05, 0.1), (0.5, 2.5, 0.0)) @ T
-    says = lambda T: evidence(sight_of(old, points, T, features), Parameters()).here  # noqa: E731
+    says = lambda T: evidence(sight_of(old, points, T, features, 3.0), Parameters()).here  # noqa: E731
     back = settled(old, points, carried, features, 3.0, 3.0)
     assert pose_error(back @ np.linalg.inv(T), np.eye(4))[0] < 0.02 and says(back) > 2 * says(carried)
     away = rigid((1.5, 0.0, 0.0)) @ T

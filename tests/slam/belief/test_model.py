@@ -47,9 +47,9 @@ def test_a_double_gains_by_all_that_it_shows_as_the_logarithm_only():
     views = [seen(rng, 1.0) for _ in range(40)]
 
     def ratio(views):
-        together = [np.concatenate([getattr(v, name) for v in views]) for name in Sight._fields]
+        together = [np.concatenate([getattr(v, name) for v in views]) for name in Sight._fields[:-1]]
         cell = np.concatenate([v.cell + 100 * i for i, v in enumerate(views)])
-        return evidence(Sight(*together)._replace(cell=cell), replace(GIVEN, view=0.0)).ratio
+        return evidence(Sight(*together, np.zeros(3))._replace(cell=cell), replace(GIVEN, view=0.0)).ratio
 
     one, ten, forty = ratio(views[:1]), ratio(views[:10]), ratio(views)
     assert one > 1 and forty - ten < 0.5 * GIVEN.alike[1] * np.log(4) + 1
@@ -71,5 +71,5 @@ def test_a_loop_is_where_the_path_says_but_for_its_drift():
 
 
 def test_a_view_without_points_says_nothing():
-    none = Sight(*(np.empty(0, int) for _ in range(2)), *(np.empty(0) for _ in range(5)))
+    none = Sight(*(np.empty(0, int) for _ in range(2)), *(np.empty(0) for _ in range(5)), np.zeros(3))
     assert np.allclose(evidence(none, GIVEN), 0.0)
