@@ -44,7 +44,8 @@ def read_logs(places: Sequence[Path], numbers: range | None = None) -> list[Aske
         numbers: of the runs to read; all by default.
 
     Raises:
-        InputError: a folder has no logged run, a file is none, or no hypothesis could be judged.
+        InputError: a folder has no logged run, a file is none or of an older release, or no hypothesis of
+            these runs could be judged.
     """
     asked = [
         one
@@ -54,7 +55,8 @@ def read_logs(places: Sequence[Path], numbers: range | None = None) -> list[Aske
         for one in _asked(table, run)
     ]
     if not asked:
-        problem, remedy = "no hypothesis in its logs can be judged", "log runs with a truth and with losses"
+        problem = "no hypothesis in its logs can be judged"
+        remedy = "log runs with a truth and with losses" if numbers is None else "give other --runs"
         raise InputError(", ".join(map(str, places)), problem, remedy)
     return asked
 
@@ -129,6 +131,9 @@ def _judged(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
+    missing = [name for name in (*Sight._fields, *Unseen._fields) if name not in table]
+    if missing:
+        raise InputError(run, f"its log of hypotheses has no {missing[0]}", "log it again with this release")
     found = []
     for _, views in _judged(table).groupby(_HYPOTHESIS, sort=False):
         sights = tuple(

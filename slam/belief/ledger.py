@@ -8,8 +8,8 @@ import numpy as np
 from dslab.slam.belief.model import SHARES, Evidence, Parameters, Sight, by_share, evidence_of, over_views
 
 _PART = 0.15
-"""Median depths from where a part began: beyond, other sides of the same surfaces are seen. At .4 nearly as
-many are believed, without parts half as many and more false ones."""
+"""Median depths from where a part began: beyond, other sides of the same surfaces are seen. Of 189 right and
+169 false places 72 and 1 pass odds of 19 : 1; at .4 it is 49 and 0, without parts 79 and 6."""
 
 
 @dataclass

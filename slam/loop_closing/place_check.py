@@ -151,7 +151,7 @@ def fault_of_view(
 def _moved(new: Map, keyframe: int, newest: Alignment) -> float:
     """How far a keyframe is from the one that was aligned, lengths of the other map."""
     one, other = (camera_centre(new.T_cam_map(k)) for k in (keyframe, newest.new_keyframe))
-    return float(np.cbrt(np.linalg.det(newest.S_old_new[:3, :3])) * np.linalg.norm(one - other))
+    return sim3_decompose(newest.S_old_new)[0] * float(np.linalg.norm(one - other))
 
 
 def _nearest(map_: Map, S_cam_map: np.ndarray) -> int:
@@ -238,17 +238,9 @@ def _one_way(
         fault = bar.fault(seen)
         kind, supposed = "loop" if here is there else "join", (there.map_id, log.new_frame, log.old_frame)
         note(
-            kind,
-            supposed,
-            there,
-            there_side[0],
-            S_cam_there,
-            here.features(k),
-            points,
-            fault,
-            log.unseen,
-            0.0,
-        )
+            kind, supposed, there, there_side[0], S_cam_there, here.features(k), points, fault,
+            log.unseen, 0.0,
+        )  # fmt: skip
         if seen.expected >= config.min_expected:
             faults.append(fault)
     if not faults:

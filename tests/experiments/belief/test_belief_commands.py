@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from belief_scenes import seen
 
@@ -79,6 +80,23 @@ def test_a_file_that_is_none_is_one_line(dslab, batch, tmp_path, text, says):
         file.write_text(text)
     code, _, error = dslab("belief", "judge", batch, "--fitted", file)
     assert code == 2 and says in error and len(error.splitlines()) == 1
+
+
+def test_only_the_runs_that_are_asked_for_are_read(dslab, batch, tmp_path):
+    out = ("--out", tmp_path / "f.json")
+    code, said, _ = dslab("belief", "fit", batch, "--runs", "0", "3", *out)
+    assert code == 0 and "20 right and 20 false" in said
+    code, _, error = dslab("belief", "fit", batch, "--runs", "1", "3", *out)
+    assert code == 2 and "give other --runs" in error and len(error.splitlines()) == 1
+
+
+def test_a_log_of_an_older_release_is_one_line(dslab, batch, tmp_path):
+    run = tmp_path / "runs" / "drive-1" / "dual" / "000"
+    run.mkdir(parents=True)
+    log = next(batch.glob(f"runs/*/*/*/{HYPOTHESES_FILE}"))
+    pd.read_parquet(log).drop(columns="centre").to_parquet(run / HYPOTHESES_FILE)
+    code, _, error = dslab("belief", "fit", tmp_path, "--out", tmp_path / "f.json")
+    assert code == 2 and "has no centre" in error and len(error.splitlines()) == 1
 
 
 def test_a_batch_without_logs_is_one_line(dslab, tmp_path):
