@@ -2,16 +2,15 @@
 
 from dataclasses import replace
 
+from dslab.slam.belief.config import BeliefConfig
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.features.orb import OrbConfig
 from dslab.slam.initialization.initializer import InitializationConfig
 from dslab.slam.loop_closing.detection import LoopClosingConfig
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.mapping.local_mapping import LocalMappingConfig
 from dslab.slam.mapping.self_calibration import SelfCalibrationConfig
 from dslab.slam.tracking.config import TrackingConfig
-from dslab.slam.tracking.probation import ProbationConfig
 from dslab.slam.tracking.relocalization import RelocalizationConfig
 from dslab.slam.tracking.rescue import RescueConfig
 
@@ -27,16 +26,13 @@ class SlamConfig:
     initialization: InitializationConfig = setting(InitializationConfig(), "first map, from two views")
     tracking: TrackingConfig = setting(TrackingConfig(), "poses of frames, and the choice of keyframes")
     mapping: LocalMappingConfig = setting(LocalMappingConfig(), "new points, culling, local adjustment")
-    place: PlaceCheckConfig | None = setting(
-        PlaceCheckConfig(), "what keyframes must show for two places to be one; null: nothing"
+    belief: BeliefConfig | None = setting(
+        BeliefConfig(), "when a supposed place counts; null: as soon as it is supposed"
     )
     loops: LoopClosingConfig = setting(LoopClosingConfig(), "detection and correction of loops")
     relocalization: RelocalizationConfig = setting(RelocalizationConfig(), "poses after tracking was lost")
     rescue: RescueConfig = setting(RescueConfig(), "poses by intensities before a breakage is declared; off")
     self_calibration: SelfCalibrationConfig = setting(SelfCalibrationConfig(), "residual lens and shutter")
-    probation: ProbationConfig | None = setting(
-        ProbationConfig(), "confirmation of relocalized poses; null: a pose counts at once"
-    )
     min_map_keyframes: int = setting(5, "a map that breaks with no more keyframes is dropped instead of kept")
 
 

@@ -75,6 +75,7 @@ class Handover:
             matches=len(loop.points),
             cpu_ms=change.cpu_ms,
             relation=relation,
+            believed=loop.alignment.believed,
         )
 
     def _adjust(self, change: Adjusted) -> None:
@@ -95,6 +96,7 @@ class Handover:
             loop_keyframe=m.frame_index(refusal.loop_keyframe),
             matches=refusal.matches,
             reason=refusal.reason,
+            believed=refusal.believed,
         )
 
 

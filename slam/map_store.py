@@ -31,7 +31,7 @@ class Places:
         database = KeyframeDatabase(map_)
         return cls(
             database,
-            LoopDetector(map_, database, config.loops, config.place),
+            LoopDetector(map_, database, config.loops, config.belief),
             Relocalizer(map_, database, config.relocalization, rules_of(config.tracking)),
         )
 
@@ -147,6 +147,6 @@ class MapStore:
     def reach(self, map_id: int) -> Reach | None:
         """Where the camera can be since it was lost in a map; None if unknown."""
         if map_id not in self._reaches:
-            path, place = self.poses.trajectory(map_id, self._maps[map_id]), self._config.place
-            self._reaches[map_id] = Reach.of(path, place.reach) if place else None
+            path = self.poses.trajectory(map_id, self._maps[map_id])
+            self._reaches[map_id] = Reach.of(path) if self._config.belief else None
         return self._reaches[map_id]

@@ -56,7 +56,7 @@ PUBLISHED: dict[str, Published] = {
     "mapping.fixed": Published(_ALL, "VI-D: all that see the points"),
     "mapping.min_found_share": Published(0.25, "VI-B"),
     "mapping.redundancy": Published(0.9, "VI-E"),
-    "place": Published(None, "VII: none"),
+    "belief": Published(None, "V-C, VII: tracking goes on at once, a verified loop is closed"),
     "loops.min_gap": Published(10, "release"),
     "loops.consistency": Published(3, "VII-A"),
     "loops.alignment.min_candidates": Published(20, "release"),
@@ -73,12 +73,12 @@ PUBLISHED: dict[str, Published] = {
     "relocalization.min_margin": Published(0.0, "V-C: none"),
     "rescue.max_s": Published(0.0, "V: none"),
     "self_calibration.at_keyframes": Published((), "a calibrated camera"),
-    "probation": Published(None, "V-C: tracking goes on at once"),
     "min_map_keyframes": Published(5, "release"),
 }
 """Settings as published, by their names."""
 
 NO_EFFECT: dict[str, str] = {
+    "loops.alpha": "belief",
     "initialization.gms": "initialization.matcher",
     "initialization.two_view": "initialization.geometry",
     "initialization.second_motion": "initialization.second_motion.max_views",

@@ -95,6 +95,7 @@ class PlaceSearch:
             frames_lost=frame.features.index - lost.index,
             lost_s=frame.features.stamp_s - lost.stamp_s,
             relation=relocalization_relation(m, probation.frames),
+            believed=probation.believed,
         )
 
     def reject(self, probation: Probation, frame: Frame, reason: str) -> None:
@@ -117,13 +118,13 @@ class PlaceSearch:
                     frame,
                     found.keyframe,
                     tracker,
-                    self._config.probation,
+                    self._config.belief,
                     loss.at.stamp_s,
                     self._withdrawn,
                     loss.doubt,
                     reach,
                 )
-        if found.success and self._config.probation is None:
+        if found.success and self._config.belief is None:
             return TrackingOutcome(True, found.inliers, found.matches)
         reason = "on_probation" if found.success else found.reason
         return TrackingOutcome(False, found.inliers, found.matches, reason)
@@ -159,4 +160,5 @@ class PlaceSearch:
             first_frame=probation.first.features.index,
             frames=len(probation.frames),
             reason=probation.reason,
+            believed=probation.believed,
         )

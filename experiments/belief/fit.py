@@ -1,5 +1,6 @@
 """The model's parameters, by what right and wrong hypotheses have shown."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -77,7 +78,8 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
     of_parts = np.zeros((len(told), max(map(len, told)), SHARES))
     for row, parts in zip(of_parts, told, strict=True):
         row[: len(parts)] = parts
-    runs = len({one.run for one in asked})
+    runs, of_kind = len({one.run for one in asked}), Counter(one.kind for one in asked)
+    weight = np.array([1 / (of_kind[one.kind] * len(of_kind)) for one in asked])  # a kind counts as a kind
     x = np.log([*parameters.alike, *(getattr(parameters, name) for name in names)])
     x = np.append(x, logit(parameters.lasting))
     broad = np.append(np.zeros(2), x[2:])
@@ -86,7 +88,7 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
         p = of(y)
         here, elsewhere = (over_parts(of_parts, beta, p.lasting) for beta in (p.here, p.alike))
         odds = here - elsewhere + [prior(one.unseen, p, one.kind) for one in asked]
-        mean = float(np.logaddexp(0, np.where(false, odds, -odds)).mean())
+        mean = float(weight @ np.logaddexp(0, np.where(false, odds, -odds)))
         return runs * mean + 0.5 * float((((y - broad) / _BROAD) ** 2).sum())
 
     simplex = x + np.vstack([np.zeros(len(x)), np.eye(len(x))])

@@ -1,10 +1,10 @@
-"""Whether beliefs are as often right as they say: slope, loss and recall, beside the rules that decide."""
+"""Whether beliefs are as often right as they say: slope, loss and recall."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize_scalar
 
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.ledger import Ledger
@@ -37,21 +37,6 @@ def beliefs(asked: Sequence[Asked], parameters: Parameters) -> np.ndarray:
             for one in asked
         ]
     )
-
-
-def shares(asked: Sequence[Asked]) -> np.ndarray:
-    """(n,) share of the views of each hypothesis that the rules find no fault with."""
-    return np.array([np.mean([not fault for fault in one.faults]) for one in asked])
-
-
-def as_odds(score: np.ndarray, false: np.ndarray) -> tuple[float, float]:
-    """Logistic of a score that fits best: offset and factor."""
-
-    def loss(x: np.ndarray) -> float:
-        return float(np.logaddexp(0, np.where(false, 1, -1) * (x[0] + x[1] * score)).mean())
-
-    found = minimize(loss, np.array([0.0, 1.0]), method="Nelder-Mead")
-    return float(found.x[0]), float(found.x[1])
 
 
 def judge(odds: np.ndarray, false: np.ndarray) -> Judged:

@@ -25,7 +25,6 @@ class Asked:
         false: whether it is false, by the audit; that of most of its views.
         unseen: the motion to the place, as first supposed.
         sights: of every view, in order.
-        faults: what the rules that decide say against each, empty for nothing.
     """
 
     run: str
@@ -33,7 +32,6 @@ class Asked:
     false: bool
     unseen: Unseen
     sights: tuple[Sight, ...]
-    faults: tuple[str, ...]
 
 
 def read_logs(places: Sequence[Path], numbers: range | None = None) -> list[Asked]:
@@ -142,5 +140,5 @@ def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
         false = bool(views["false"].astype(float).mean() > 0.5)
         first = views.iloc[0]
         unseen = Unseen(*(float(first[name]) for name in Unseen._fields))
-        found.append(Asked(run, str(first["kind"]), false, unseen, sights, tuple(views["fault"])))
+        found.append(Asked(run, str(first["kind"]), false, unseen, sights))
     return found

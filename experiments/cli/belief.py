@@ -87,15 +87,15 @@ def judge_command(
     ] = None,
     runs: _Runs = None,
 ) -> None:
-    """Say how often hypotheses are right that are held so likely, beside the rules that decide.
+    """Say how often hypotheses are right that are held so likely.
 
-    The rules' odds are the logistic of the share of sound views that fits these hypotheses best. For example:
+    For example:
 
     `dslab belief judge out/other-places --fitted fitted.json`
     """
     import numpy as np
 
-    from dslab.experiments.belief.judge import as_odds, beliefs, judge, shares
+    from dslab.experiments.belief.judge import beliefs, judge
     from dslab.experiments.belief.logs import read_logs
     from dslab.experiments.belief.plot import draw
     from dslab.experiments.belief.tables import read_fitted
@@ -103,17 +103,14 @@ def judge_command(
     fitted, asked = read_fitted(fitted_file), read_logs(folders, _numbers(runs))
     false = np.array([one.false for one in asked])
     odds = beliefs(asked, fitted.parameters)
-    offset, factor = as_odds(shares(asked), false)
-    of = {"belief": odds, "rules": offset + factor * shares(asked)}
     kinds = {"all": np.ones(len(asked), bool)}
     kinds |= {kind: np.array([o.kind == kind for o in asked]) for kind in sorted({o.kind for o in asked})}
     rows = []
     for kind, own in kinds.items():
-        for name, values in of.items():
-            found = judge(values[own], false[own])
-            rows.append(
+        found = judge(odds[own], false[own])
+        rows.append(
                 {
-                    "kind": kind, "by": name, "right": found.hypotheses - found.false, "false": found.false,
+                    "kind": kind, "right": found.hypotheses - found.false, "false": found.false,
                     "slope": number(found.slope, 2), "log loss": number(found.loss, 3),
                     "recall at no false one": number(found.recall, 3),
                 }

@@ -1,6 +1,7 @@
 """What the views of one supposed place have said: every point speaks once for every part of the path."""
 
 from collections.abc import Iterable
+from copy import deepcopy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,6 +65,10 @@ class Ledger:
         of_surface = np.einsum("sv,svg->sg", weights, of_surface) / np.bincount(group)
         self._part(sight.centre).add(sight.point, of_surface[:, group] - cost[:, None] / len(group))
         return evidence_of(alone[None], self._parameters)
+
+    def copy(self) -> "Ledger":
+        """An independent copy."""
+        return deepcopy(self)
 
     def by_part(self) -> np.ndarray:
         """(K, G) logarithms of L(γ) by the views of each part, as of the model."""

@@ -26,20 +26,18 @@ class LoggedView:
         hypothesis: the map, and the frames of the two views that supposed the place.
         relation: the keyframes around, and where the view is among them: as supposed, and settled there.
         sight: what it should show, and what it shows.
-        fault: what speaks against the place by the rules that decide; empty for nothing.
+        log_odds: that it is there, as believed since this view.
         unseen: the motion to the place.
         explored: length of the path of the map's keyframes, median depths of the place.
-        doubles: pairs of places that the map knows to look the same.
     """
 
     kind: str
     hypothesis: tuple[int, int, int]
     relation: Relation
     sight: Sight
-    fault: str
+    log_odds: float
     unseen: Unseen
     explored: float = 0.0
-    doubles: int = 0
 
     @property
     def proposes(self) -> bool:
@@ -69,14 +67,14 @@ def note(
     S_cam_map: np.ndarray,
     features: FrameFeatures,
     points: np.ndarray,
-    fault: str,
+    log_odds: float,
     unseen: Callable[[], Unseen],
     moved: float | None = None,
 ) -> None:
     """Put a view down, if hypotheses are logged.
 
     Args:
-        kind, hypothesis, fault, unseen: as of :class:`LoggedView`.
+        kind, hypothesis, log_odds, unseen: as of :class:`LoggedView`.
         map_: of the place.
         keyframe: row of a keyframe there.
         S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
@@ -96,5 +94,4 @@ def note(
     sight = sight_of(map_, points, T_cam_map, features, depth)
     centres = keyframe_trajectory(map_).T_map_cam[:, :3, 3]
     explored = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum() / relation.depth)
-    doubles = len(map_.look_alikes)
-    views.append(LoggedView(kind, hypothesis, relation, sight, fault, unseen(), explored, doubles))
+    views.append(LoggedView(kind, hypothesis, relation, sight, log_odds, unseen(), explored))

@@ -26,11 +26,13 @@ However many surfaces a double shows as they should be, it gains by them as thei
 less of what is not known yet, whether it is a double. But no double is one for ever. Views from elsewhere
 see other sides of it, so γ is that of the part of the path before with the chance κ, and another one else.
 
-Before any view, a supposed place is right with the odds 1 : ρ log(1 + r²), r how far the camera can have
-come unseen, in median depths: it has come as likely one to two as two to four of them, and the more places
-it passes the more are taken for this one. Beyond r the recording was cut, or the camera carried, with the
-odds κ. The camera of a loop was seen all the way, r: where the loop is right, it is where its path says but
-for what it drifted, of Student's distribution and in the middle δ r; elsewhere it is anywhere.
+Before any view, a supposed place is right with the odds 1 : ρ log(1 + r²), r how far the camera has usually
+come in the time that it was unseen, in median depths: it has come as likely one to two as two to four of
+them, and the more places it passes the more are taken for this one. Any place within r is as likely. Beyond,
+few cameras are so much faster, and at last the recording was cut or the camera carried, which is rare but
+takes no time: right after the loss nothing else can have led to a double. The camera of a loop was seen all
+the way, r: where the loop is right, it is where its path says but for what it drifted, of Student's
+distribution and in the middle δ r; elsewhere it is anywhere.
 """
 
 from dataclasses import dataclass
@@ -51,9 +53,14 @@ _BETWEEN = CubicSpline(_V, np.eye(len(_V)))(_FINE)
 between these in logits the integral is off by .01; five nodes of Gauss and Hermite are by 20."""
 _SHARE = np.linspace(-5.0, 8.0, 14)  # logit γ
 SHARES = len(_SHARE)
-_CUT = np.log(1e-3)
-_LEAST = 0.01
-"""Of r: a place at which a camera has just been is not sure."""
+_CUT = np.log(0.01)
+"""Of losses of a camera, those by a cut of the recording or by hands that carry it."""
+_TAIL = 10.0
+"""Exponent of how rarely a camera comes farther than it usually does: of 523 right places none is beyond."""
+_APART = 0.2
+"""Median depths within which two positions are one place."""
+_LEAST = 0.1
+"""Of r: a camera that stays may have turned, and sees what it has not seen."""
 _SUREST = 20.0
 """Logit of a chance that is 1 in double precision soon after, where what is not seen would be impossible."""
 
@@ -123,8 +130,8 @@ class Unseen(NamedTuple):
 
     Attributes:
         since_s: its time; of a loop, since the place was last seen.
-        radius: how far the camera can have come in this time, median depths of the place; NaN if unknown. Of
-            a loop, the length of its path.
+        radius: how far the camera usually comes in this time, median depths of the place; NaN if unknown.
+            Of a loop, the length of its path.
         away: how far it would have come, median depths.
     """
 
@@ -233,5 +240,10 @@ def prior(unseen: Unseen, parameters: Parameters, kind: str) -> float:
         drifted = unseen.away / max(parameters.drift * r, 1e-9)
         return -float(np.log(parameters.of_loops * (1 + drifted**2) ** 1.5))
     of_kind = parameters.of_joins if kind == "join" else 1.0
-    odds = -float(np.log(of_kind * parameters.doubles * np.log1p(max(r, _LEAST) ** 2)))
-    return odds + _CUT if unseen.away > unseen.radius else odds
+    return come(unseen) - float(np.log(of_kind * parameters.doubles * np.log1p(max(r, _LEAST) ** 2)))
+
+
+def come(unseen: Unseen) -> float:
+    """Logarithm of how likely a camera has come so far, over places within its reach; 0 if it is unknown."""
+    beyond = unseen.away / (unseen.radius + _APART)
+    return max(-_TAIL * float(np.log(beyond)), float(_CUT)) if beyond > 1.0 else 0.0

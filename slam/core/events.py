@@ -136,6 +136,7 @@ class Relocalized(RelatingEvent):
         first_frame: the relocalized frame; the poses count from it on.
         inliers: map matches of the confirming frame.
         frames_lost, lost_s: frames and time since the breakage.
+        believed: chance that the place is right, as believed then; None if no belief was asked.
     """
 
     kind: ClassVar[str] = "relocalized"
@@ -144,6 +145,7 @@ class Relocalized(RelatingEvent):
     inliers: int
     frames_lost: int
     lost_s: float
+    believed: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,9 +156,10 @@ class RelocalizationWithdrawn(Event):
         keyframe: frame index of the keyframe that seemed to be recognised.
         first_frame: the frame that seemed to be relocalized.
         frames: number of frames tracked from there, itself included; none of their poses counts.
-        reason: what spoke against the place; ``too_little_evidence`` if no frame showed enough of the
-            map, or had a pose certain enough, to tell; ``map_in_use`` or ``maps_are_joined`` if the map
-            became the current one meanwhile, or part of another.
+        reason: ``disbelieved`` if another place was the likelier one for too long; ``map_in_use`` or
+            ``maps_are_joined`` if the map became the current one meanwhile, or part of another; else why a
+            frame could not be tracked there.
+        believed: chance that the place is right, as believed then; None if no belief was asked.
     """
 
     kind: ClassVar[str] = "relocalization_withdrawn"
@@ -164,6 +167,7 @@ class RelocalizationWithdrawn(Event):
     first_frame: int
     frames: int
     reason: str
+    believed: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,6 +179,7 @@ class LoopClosed(RelatingEvent):
         scale: factor by which lengths around the keyframe were corrected.
         matches: points that both keyframes share after the correction.
         cpu_ms: CPU milliseconds of detection and correction.
+        believed: chance that the place is right, as believed then; None if no belief was asked.
     """
 
     kind: ClassVar[str] = "loop_closed"
@@ -183,6 +188,7 @@ class LoopClosed(RelatingEvent):
     scale: float
     matches: int
     cpu_ms: float
+    believed: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,10 +198,10 @@ class LoopRefused(Event):
     Attributes:
         keyframe, loop_keyframe: frame indices of the two keyframes.
         matches: points matched between them.
-        reason: what spoke against it: in their surroundings ``expected_points_missing``, ``contradicted``,
-            ``too_narrow`` or ``neighbours_disagree``; in the corrected copy of the map
+        reason: what spoke against it: ``disbelieved`` by the views around; in the corrected copy of the map
             ``map_is_stretched``, ``map_does_not_fit`` or ``matches_do_not_fit``; or ``map_has_changed``
             meanwhile.
+        believed: chance that the place is right, as believed then; None if no belief was asked.
     """
 
     kind: ClassVar[str] = "loop_refused"
@@ -203,6 +209,7 @@ class LoopRefused(Event):
     loop_keyframe: int
     matches: int
     reason: str
+    believed: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,6 +355,7 @@ class Fusion(RelatingEvent):
         scale: factor from the new map's lengths to the old map's.
         inliers: points matched between the two maps.
         reason: reason of a rejection.
+        believed: chance that the place is right, as believed then; None if no belief was asked.
     """
 
     kind: ClassVar[str] = "fusion"
@@ -358,3 +366,4 @@ class Fusion(RelatingEvent):
     scale: float
     inliers: int
     reason: str
+    believed: float | None = None

@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 
+from dslab.slam.belief.config import BeliefConfig
 from dslab.slam.config import SlamConfig
 from dslab.slam.core import events as ev
 from dslab.slam.core.camera import PinholeCamera
@@ -21,7 +22,6 @@ from dslab.slam.dual.fusion.merge_recovered import RecoveredFusion
 from dslab.slam.dual.fusion.place_merging import PlaceFusion, PlaceMerger
 from dslab.slam.dual.phases import Held, Lost, Phase, Restarting, Starting, Tracking
 from dslab.slam.dual.recovery_jobs import RecoveryJob, RecoveryJobs
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map.map import Map
 from dslab.slam.runtime.backend import ExecutionMode, MapChange
 from dslab.slam.system import MonocularSlam, MonocularSystem
@@ -58,8 +58,8 @@ class DualSlam(MonocularSystem):
         self.buffer = self.jobs.buffer
         self.merger = MapMerger(self.engine, self.note_fusion)
         joins = self.dual.place_merging
-        place = self.engine.config.place or PlaceCheckConfig()
-        self.places = PlaceMerger(joins, place, seed) if joins else None
+        beliefs = self.engine.config.belief or BeliefConfig()
+        self.places = PlaceMerger(joins, beliefs, seed) if joins else None
 
     @property
     def settings(self) -> dict:
@@ -87,7 +87,7 @@ class DualSlam(MonocularSystem):
         for recovered in self.jobs.ended():  # Sec. III-B, Algorithm 1
             engine.backend.beside(RecoveredFusion(self.merger, recovered))  # Sec. III-C
         self._recover(outcome)
-        self._merge_by_place(frame, outcome, is_keyframe)
+        self._merge_by_place(frame, outcome)
         return engine.result(frame, outcome, is_keyframe)
 
     def finish(self) -> None:
@@ -279,34 +279,22 @@ class DualSlam(MonocularSystem):
         if isinstance(self.phase, Restarting) and self.phase.map.map_id not in self.engine.store:
             self._enter(Tracking())
 
-    def _merge_by_place(self, frame: Frame, outcome: TrackingOutcome, is_keyframe: bool) -> None:
+    def _merge_by_place(self, frame: Frame, outcome: TrackingOutcome) -> None:
         """Fuse with a saved map whose place is recognised."""
         engine, places = self.engine, self.places
         if places is None or not outcome.success:
             return
         if engine.store.saved and places.is_due(engine.store.current):
             engine.backend.beside(PlaceFusion(self.merger, places))
-        if self._is_settled:
-            self._seek_beside(frame, is_keyframe, places)
+        probation = engine.search.probation
+        if probation is not None and self._is_settled:  # its place is sought by keyframes now
+            engine.search.reject(probation, frame, "another_map_is_tracked")
 
     @property
     def _is_settled(self) -> bool:
         """True if no recovery of the current map is due or under way: it is not given up for a place."""
         waits = not isinstance(self.phase, Tracking) or self.jobs.are_extending(self.engine.store.current_id)
         return self.places is not None and not waits
-
-    def _seek_beside(self, frame: Frame, is_keyframe: bool, places: PlaceMerger) -> None:
-        """Seek the frames of a settled map in saved maps too; fuse with one in which they are confirmed.
-
-        A search begins at a keyframe. It asks of the frames what a lost camera's must show.
-        """
-        engine, sought, probation = self.engine, self._sought, self.engine.search.probation
-        if probation is not None and probation.frames[-1].features.index == frame.features.index:
-            return  # offered before its recovery ended
-        if probation is not None or (is_keyframe and sought):
-            _, confirmed = engine.search.offer(engine.again(frame), sought, begin=is_keyframe)
-            if confirmed is not None:
-                engine.backend.beside(PlaceFusion(self.merger, places, confirmed))
 
     # -- laboratory --------------------------------------------------------------------------------------
 

@@ -37,7 +37,6 @@ SAID: dict[str, str] = {
     "THREAD.mapping": "III-B: similar to a basic ORB-SLAM",
     "THREAD.fusion.confirmations": "III-C: one similarity",
     "THREAD.fusion.min_share": "III-C: none",
-    "THREAD.fusion.place": "III-C: none",
     "THREAD.doubt": "III-B: none",
     "SIFT.contrast": "Lowe's threshold of keypoints",
     "SIFT.ratio": "Lowe's ratio of matches",

@@ -3,6 +3,13 @@
 import numpy as np
 from numba import njit
 
+from dslab.slam.matching.projection import in_view, project
+from dslab.slam.matching.window import nearest
+
+_BORDER_PX = 20.0  # no features are extracted nearer to the border of an image
+_MIN_COSINE = 0.8  # between the direction of view and a point's mean one
+_SAME = 70  # largest distance of two descriptors of one point, bits
+
 
 @njit(cache=True, nogil=True)
 def gradient_products(level, products):
@@ -82,3 +89,54 @@ def _is_known(level, top, bottom, left, right):
                 if not np.isfinite(level[y, x, m]):
                     return False
     return True
+
+
+@njit(cache=True, nogil=True)
+def find_points(m, view, T_cam_map, candidates, xy, octave, descriptors, cell_start, radius):
+    """Project points into a view and look for them there.
+
+    Args:
+        m: MapArrays of the points.
+        view: ViewGeometry.
+        T_cam_map: (4, 4) pose of the view.
+        candidates: (Q,) int32 points.
+        xy, octave, descriptors, cell_start: features of the view.
+        radius: radius of the search window on level 0, px.
+
+    Returns:
+        Of the n points that the view should show: rows (n,) int32, pixels (n, 2), depths (n,), and the
+        keypoint that shows it (n,) int32, -1 for none.
+    """
+    size, n = len(candidates), 0
+    rows, keypoint = np.empty(size, np.int32), np.empty(size, np.int32)
+    pixels, depths = np.empty((size, 2)), np.empty(size)
+    for p in candidates:
+        if m.pt_bad[p]:
+            continue
+        u, v, z = project(T_cam_map, view, m.pt_xyz[p])
+        if z <= 0 or not in_view(view, u, v):
+            continue
+        if not (view.x_min + _BORDER_PX <= u < view.x_max - _BORDER_PX):
+            continue
+        if not (view.y_min + _BORDER_PX <= v < view.y_max - _BORDER_PX):
+            continue
+        distance, along = 0.0, 0.0
+        for r in range(3):
+            c, d = T_cam_map[r, 3], 0.0
+            for s in range(3):
+                c += T_cam_map[r, s] * m.pt_xyz[p, s]
+                d += T_cam_map[r, s] * m.pt_normal[p, s]
+            distance += c * c
+            along += c * d
+        distance, far = np.sqrt(distance), m.pt_max_distance[p]
+        if distance > far or distance < far / view.scale[-1] or along < _MIN_COSINE * distance:
+            continue
+        level = np.ceil(np.log(far / distance) / view.log_scale)
+        i, d = nearest(
+            view, xy, octave, descriptors, cell_start, 0, u, v, radius * view.scale[int(level)],
+            level - 1.0, level + 1.0, m.pt_descriptor[p],
+        )  # fmt: skip
+        rows[n], keypoint[n] = p, i if i >= 0 and d <= _SAME else -1
+        pixels[n, 0], pixels[n, 1], depths[n] = u, v, z
+        n += 1
+    return rows[:n].copy(), pixels[:n].copy(), depths[:n].copy(), keypoint[:n].copy()

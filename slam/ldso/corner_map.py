@@ -11,10 +11,10 @@ from scipy.spatial import cKDTree
 
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import ViewGeometry
+from dslab.slam.ldso._corner_kernels import find_points
 from dslab.slam.ldso.config import CornerConfig
 from dslab.slam.ldso.window import Keyframe
 from dslab.slam.map.map import Map
-from dslab.slam.places._evidence_kernels import look_for
 
 _SAME_PX = 0.1
 
@@ -66,9 +66,9 @@ class CornerMap:
         """Match corners with points of the keyframes nearest in time; depths (n,) must not disagree."""
         m, config, features = self.map, self._config, frame.features
         points = self._points_about(features.index)
-        found, at, depth, _, keypoint = look_for(
-            m.arrays, m.view, frame.T_cam_map, 1.0, points, features.xy, features.octave,
-            features.descriptors, features.cell_start, 0, config.radius_px, False,
+        found, at, depth, keypoint = find_points(
+            m.arrays, m.view, frame.T_cam_map, points, features.xy, features.octave, features.descriptors,
+            features.cell_start, config.radius_px,
         )  # fmt: skip
         hit = keypoint >= 0
         hit[hit] = ~(np.abs(depth[hit] * inverse_depth[keypoint[hit]] - 1) > config.agreeing)  # NaN agrees

@@ -38,6 +38,7 @@ class Closed:
         scale: factor on lengths around the keyframe beside those around the loop keyframe.
         matches: points matched.
         relation: what was asserted, before anything was corrected.
+        believed: chance that it is right, if it was asked.
     """
 
     keyframe: int
@@ -45,6 +46,7 @@ class Closed:
     scale: float
     matches: int
     relation: Relation
+    believed: float | None
 
 
 @dataclass(frozen=True)
@@ -55,12 +57,14 @@ class Refused:
         keyframe, loop_keyframe: frame indices of the two keyframes.
         matches: points matched.
         reason: what speaks against it.
+        believed: chance that it is right, if it was asked.
     """
 
     keyframe: int
     loop_keyframe: int
     matches: int
     reason: str
+    believed: float | None
 
 
 class LoopCloser:
@@ -92,7 +96,7 @@ class LoopCloser:
         self._factor: dict[int, float] = {}
         self._loops: list[tuple[int, int, np.ndarray]] = []
         m = self.corners.map
-        self._detector = LoopDetector(m, KeyframeDatabase(m), config.loops, config.place)
+        self._detector = LoopDetector(m, KeyframeDatabase(m), config.loops, config.belief)
         self._scale_weight = corners.scale_weight
 
     def see_through(self, camera: PinholeCamera) -> None:
@@ -120,7 +124,8 @@ class LoopCloser:
                 refused.append(self._detector.refused(loop, outcome))
             else:
                 frames = m.frame_index(loop.keyframe), m.frame_index(loop.loop_keyframe)
-                closed = Closed(*frames, outcome, len(loop.points), relation)
+                believed = loop.alignment.believed
+                closed = Closed(*frames, outcome, len(loop.points), relation, believed)
         return closed, [self._told(refusal) for refusal in refused]
 
     def _close(self, loop: Loop) -> float | str:
@@ -160,7 +165,7 @@ class LoopCloser:
     def _told(self, refusal: Refusal) -> Refused:
         m = self.corners.map
         frames = m.frame_index(refusal.keyframe), m.frame_index(refusal.loop_keyframe)
-        return Refused(*frames, refusal.matches, refusal.reason)
+        return Refused(*frames, refusal.matches, refusal.reason, refusal.believed)
 
 
 def scaled(S: np.ndarray, factor: np.ndarray) -> np.ndarray:

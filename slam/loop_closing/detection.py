@@ -3,22 +3,21 @@
 Source: Mur-Artal, Montiel, Tardos, "ORB-SLAM", 2015, section VII.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from dslab.slam.belief.belief import DISBELIEVED
+from dslab.slam.belief.config import BeliefConfig
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
-from dslab.slam.loop_closing.look_alikes import note_look_alike
 from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree, align
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig, fault_of_alignment
+from dslab.slam.loop_closing.supposed import Supposed
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.places.recognition import KeyframeDatabase
-
-_REFUTED = ("map_is_stretched", "map_does_not_fit")  # by the geometry of the map
 
 
 @settings
@@ -27,6 +26,9 @@ class LoopClosingConfig:
 
     min_gap: int = setting(10, "least number of keyframes between two loops, and before the first")
     consistency: int = setting(3, "consecutive keyframes whose candidates must be covisible")
+    alpha: float = setting(
+        0.2, "as belief.alpha, of a loop that the corrected map is still asked about", gt=0, le=0.5
+    )
     alignment: Sim3AlignmentConfig = setting(
         Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20),
         "of its two ends, low, as the search in the surroundings decides",
@@ -47,12 +49,14 @@ class Refusal:
         keyframe, loop_keyframe: rows.
         matches: points matched between them.
         reason: what speaks against it.
+        believed: chance that it is right, if it was asked.
     """
 
     keyframe: int
     loop_keyframe: int
     matches: int
     reason: str
+    believed: float | None = None
 
 
 @dataclass(frozen=True)
@@ -67,11 +71,12 @@ class LoopDetector:
     """Detects loops at the keyframes of one map."""
 
     def __init__(
-        self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig, place: PlaceCheckConfig | None
+        self, map_: Map, database: KeyframeDatabase, config: LoopClosingConfig, beliefs: BeliefConfig | None
     ) -> None:
         self.map = map_
         self.config = config
-        self._place = place
+        self._beliefs = beliefs and replace(beliefs, alpha=max(beliefs.alpha, config.alpha))
+        self._supposed: list[Supposed] = []
         self._database = database
         self._groups: list[_Candidates] = []
         self._last_loop = 0
@@ -91,6 +96,10 @@ class LoopDetector:
             that were refused.
         """
         refused: list[Refusal] = []
+        recent = [s for s in self._supposed if keyframe - s.newest.new_keyframe < self.config.min_gap]
+        self._supposed = recent
+        for supposed in recent:
+            supposed.look(self.map, keyframe)
         if keyframe - self._last_loop < self.config.min_gap or self.map.arrays.kf_bad[keyframe]:
             return None, refused
         for candidate in self._consistent(keyframe):
@@ -103,23 +112,18 @@ class LoopDetector:
 
     def closed(self, loop: Loop) -> None:
         """Take over that a loop was closed."""
-        self._last_loop, self._groups, self._misfits = loop.keyframe, [], []
+        self._last_loop, self._groups, self._misfits, self._supposed = loop.keyframe, [], [], []
 
     def refused(self, loop: Loop, reason: str) -> Refusal:
-        """Take over that the corrected map has spoken against a loop; its like is not tried again at once.
-
-        What is refused although it looked alike, is remembered by the map.
-        """
+        """Take over that the corrected map has spoken against a loop; its like is not tried again at once."""
         self._misfits.append((loop.keyframe, loop.alignment))
-        if reason in _REFUTED:
-            note_look_alike(self.map, loop)
-        return Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason)
+        believed = loop.alignment.believed
+        return Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason, believed)
 
     def _is_misfit(self, keyframe: int, alignment: Alignment) -> bool:
         """Return True if a similarity is that of a loop that the corrected map has spoken against lately."""
         self._misfits = [m for m in self._misfits if keyframe - m[0] < self.config.min_gap]
-        bounds = self._place.agreement if self._place else Agreement()
-        return any(agree(self.map, old, alignment, bounds) for _, old in self._misfits)
+        return any(agree(self.map, old, alignment, Agreement()) for _, old in self._misfits)
 
     def _consistent(self, keyframe: int) -> list[int]:
         """Candidates whose surroundings were candidates at the previous keyframes too."""
@@ -150,10 +154,23 @@ class LoopDetector:
             return None
         if self._is_misfit(keyframe, alignment):
             return None
-        reason = fault_of_alignment(m, m, alignment, rng, self._place) if self._place else ""
-        if reason:
-            return Refusal(keyframe, candidate, len(points), reason)
+        if self._beliefs is not None:
+            supposed = self._suppose(alignment, self._beliefs)
+            if not supposed.is_believed(self._supposed):
+                if supposed.believed >= 0.5:  # more views may come
+                    return None
+                return Refusal(keyframe, candidate, len(points), DISBELIEVED, supposed.believed)
+            alignment = replace(alignment, believed=supposed.believed)
         return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around
+
+    def _suppose(self, alignment: Alignment, beliefs: BeliefConfig) -> Supposed:
+        """Take an alignment as a further one of what was supposed before, or else for itself."""
+        for supposed in self._supposed:
+            if supposed.is_that_of(alignment, Agreement()):
+                supposed.alignments.append(alignment)
+                return supposed
+        self._supposed.append(Supposed(self.map, self.map, alignment, beliefs))
+        return self._supposed[-1]
 
     def _surroundings(self, candidate: int) -> np.ndarray:
         """(q,) int32 points that the candidate and its neighbours see."""

@@ -53,6 +53,7 @@ class Alignment:
         old_map_id: the old map.
         old_keyframe, new_keyframe: the pair.
         old_points, new_points: (n,) int32 matched points.
+        believed: chance that it is right, once it was asked.
     """
 
     S_old_new: np.ndarray
@@ -62,6 +63,7 @@ class Alignment:
     new_keyframe: int
     old_points: np.ndarray
     new_points: np.ndarray
+    believed: float | None = None
 
     @property
     def inliers(self) -> int:

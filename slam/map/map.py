@@ -27,8 +27,6 @@ class Map:
 
     Attributes:
         loop_edges: pairs of keyframes connected by loop closures.
-        look_alikes: pairs of keyframes whose places look alike and are two, with the similarity (4, 4) from
-            the camera of the first to the camera of the second by their looks.
         noise: of the keypoints that are found again.
     """
 
@@ -42,7 +40,6 @@ class Map:
         self._T_cam_parent: dict[int, np.ndarray] = {}
         self.noise = KeypointNoise()
         self.loop_edges: list[tuple[int, int]] = []
-        self.look_alikes: list[tuple[int, int, np.ndarray]] = []
         self.arrays = _allocate(16, 16_384, 8_192, view.cols * view.rows + 1)
 
     @property
@@ -193,7 +190,7 @@ class Map:
         t = scale * a.kf_T_cam_map[:K, :3, 3] - R @ translation
         a.kf_T_cam_map[:K, :3, :3] = R
         a.kf_T_cam_map[:K, :3, 3] = t
-        for T in (*self._T_cam_parent.values(), *(S for _, _, S in self.look_alikes)):
+        for T in self._T_cam_parent.values():
             T[:3, 3] *= scale
 
     def move_keyframes(self, S_cam_map: np.ndarray) -> np.ndarray:
@@ -213,8 +210,6 @@ class Map:
         for k, T in self._T_cam_parent.items():
             factor[k] = factor[self.live(k)]
             T[:3, 3] *= factor[k]
-        for _, other, S in self.look_alikes:
-            S[:3, 3] *= factor[other]
         return factor
 
     def copy(self, map_id: int | None = None) -> "Map":
@@ -227,7 +222,6 @@ class Map:
         copied._features = list(self._features)
         copied._parent = list(self._parent)
         copied.loop_edges = list(self.loop_edges)
-        copied.look_alikes = [(i, j, S.copy()) for i, j, S in self.look_alikes]
         copied._T_cam_parent = {k: T.copy() for k, T in self._T_cam_parent.items()}
         copied.arrays = MapArrays(*(array.copy() for array in self.arrays))
         return copied
@@ -237,7 +231,6 @@ class Map:
         self.n_keyframes, self.n_points = changed.n_keyframes, changed.n_points
         self._features, self._parent = changed._features, changed._parent
         self._T_cam_parent, self.loop_edges = changed._T_cam_parent, changed.loop_edges
-        self.look_alikes = changed.look_alikes
         self.arrays = changed.arrays
 
     def absorb(self, other: "Map") -> tuple[int, int]:
@@ -266,7 +259,6 @@ class Map:
         self._features += other._features
         self._parent += [q + K if q >= 0 else -1 for q in other._parent]
         self.loop_edges += [(i + K, j + K) for i, j in other.loop_edges]
-        self.look_alikes += [(i + K, j + K, S.copy()) for i, j, S in other.look_alikes]
         self._T_cam_parent |= {q + K: T.copy() for q, T in other._T_cam_parent.items()}
         self.n_keyframes += k
         self.n_points += p

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from dslab.slam.belief.model import come
 from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import camera_centre
 from dslab.slam.core.settings import DEPTHS, setting, settings
@@ -19,6 +20,9 @@ from dslab.slam.tracking.local_map import local_map, match_keyframe
 from dslab.slam.tracking.pnp import ransac_pnp
 from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.rules.interface import Rules
+
+_UNLIKELY = 3.0
+"""Of the logarithm of how likely a camera has come to one place over another."""
 
 
 @settings
@@ -64,7 +68,6 @@ _FAILURES = (
     "no_pose",
     "too_few_pose_inliers",
     "too_few_inliers",
-    "out_of_reach",
     "ambiguous",
 )
 
@@ -103,7 +106,7 @@ class Relocalizer:
             frame: features only; pose, matches and reference keyframe are set on success and left unknown
                 on failure.
             rng: stream of the RANSAC.
-            reach: where the camera can be; None for anywhere.
+            reach: where the camera can be; places there are preferred to any beyond. None for anywhere.
             similar: keyframes that are tried, the most similar first; None to look them up.
             also: keyframes tried after them, however similar.
         """
@@ -114,23 +117,28 @@ class Relocalizer:
             similar = self._database.relocalization_candidates(bow)
         for keyframe in dict.fromkeys([*similar[: self.config.candidates], *also]):
             outcome = self._try(frame, keyframe, rng)
-            if (
-                outcome.success
-                and reach is not None
-                and not reach.allows(camera_centre(frame.T_cam_map), frame.features.stamp_s)
-            ):
-                outcome = replace(outcome, success=False, reason="out_of_reach")
             if outcome.success:
                 places.append(_Place(outcome, frame.T_cam_map.copy(), frame.point.copy()))
             farthest = max(farthest, outcome, key=_progress)
         if places:
-            outcome = self._clearly_best(frame, places)
+            outcome = self._clearly_best(frame, self._likeliest(frame, places, reach))
             if outcome.success:
                 return outcome
             farthest = outcome
         frame.point[:] = -1
         frame.T_cam_map = np.full((4, 4), np.nan)
         return farthest
+
+    def _likeliest(self, frame: Frame, places: list[_Place], reach: Reach | None) -> list[_Place]:
+        """Those to which a camera has come about as likely as to any other."""
+        if reach is None:
+            return places
+        chances = []
+        for place in places:
+            depth = kernels.median_depth(self.map.arrays, place.outcome.keyframe)
+            centre = camera_centre(place.T_cam_map)
+            chances.append(come(reach.unseen(centre, frame.features.stamp_s, depth)))
+        return [p for p, chance in zip(places, chances, strict=True) if chance > max(chances) - _UNLIKELY]
 
     def _clearly_best(self, frame: Frame, places: list[_Place]) -> RelocalizationOutcome:
         """Place the frame where it fits best, if it fits clearly less anywhere else."""

@@ -67,7 +67,7 @@ DEVIATIONS = (
             ("geometry", PUBLISHED, {"initialization.geometry": "published"}),
             ("neighbours", PUBLISHED, {"mapping.neighbours": 20}),
             ("window", PUBLISHED, {"mapping.window": ALL, "mapping.fixed": ALL}),
-            ("place-evidence", PUBLISHED, {"place": None}),
+            ("belief", PUBLISHED, {"belief": None}),
             (
                 "candidates",
                 PUBLISHED,
@@ -78,7 +78,6 @@ DEVIATIONS = (
                 },
             ),
             ("margin", PUBLISHED, {"relocalization.min_margin": 0.0}),
-            ("probation", PUBLISHED, {"probation": None}),
             ("self-calibration", PUBLISHED, {"self_calibration.at_keyframes": []}),
         )
     ),

@@ -11,7 +11,6 @@ from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing.correction import move_map
 from dslab.slam.loop_closing.essential_graph import essential_edges
 from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.map.relation import fusion_relation
@@ -29,7 +28,6 @@ class FusionConfig(Agreement, Sim3AlignmentConfig):
 
     max_time_gap_s: float = setting(0.17, "most time between keyframes that are compared")
     confirmations: int = setting(2, "alignments that must agree, at different old keyframes")
-    place: PlaceCheckConfig | None = setting(None, "what keyframes must show; null for the system's")
 
 
 def confirms(old: Map, first: Alignment, second: Alignment, config: FusionConfig) -> bool:

@@ -124,7 +124,7 @@ class MapMerger:
         self.engine.emit_now(
             ev.Fusion, map_id, old_map_id=old_id, new_map_id=new_id, by=by,
             accepted=not reason, scale=alignment.scale, inliers=alignment.inliers, reason=reason,
-            relation=relation,
+            relation=relation, believed=alignment.believed,
         )  # fmt: skip
 
 

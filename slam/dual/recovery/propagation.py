@@ -4,16 +4,18 @@ Source: paper, Sec. III-B, III-C and Algorithm 1, lines 3-10 and 16-20.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
+from dslab.slam.belief.belief import DISBELIEVED
 from dslab.slam.core.events import CANCELLED
 from dslab.slam.core.frame import Frame
 from dslab.slam.dual.fusion.fuse import FusionConfig, confirms
 from dslab.slam.dual.recovery.common_points import align_all, pairs_close_in_time
 from dslab.slam.dual.recovery.interface import RecoveryConfig, RecoveryResult, RecoveryTask
 from dslab.slam.loop_closing.map_alignment import Alignment, align
-from dslab.slam.loop_closing.place_check import double_in_reach, fault_of_alignment
+from dslab.slam.loop_closing.supposed import Supposed
 from dslab.slam.map.map import Map
 from dslab.slam.mapping.local_mapping import LocalMapper
 from dslab.slam.tracking.tracker import Tracker
@@ -107,7 +109,7 @@ class Overlap:
         """
         self._task = task
         self._config = config
-        self._place = config.place or task.system.place
+        self._beliefs = task.system.belief
         self._at_once = at_once
         self._object_more = object_more
         self._compared: list[int] = []
@@ -156,7 +158,7 @@ class Overlap:
         self._found.append(alignment)
         if len(confirming) + 1 < self._config.confirmations:
             return False
-        self._objection = self._fault_of_places(old, alignment)
+        alignment, self._objection = self._asked(old, alignment)
         if not self._objection and self._object_more is not None:
             self._objection = self._object_more(old, alignment)
         if self._objection:
@@ -164,13 +166,13 @@ class Overlap:
         self.accepted, self.confirming = alignment, confirming
         return True
 
-    def _fault_of_places(self, old: Map, alignment: Alignment) -> str:
-        new, place = self._task.new_map, self._place
-        if place is None:
-            return ""
-        fault = fault_of_alignment(old, new, alignment, self._task.rng, place)
-        doubled = not fault and double_in_reach(old, new, alignment.S_old_new, place)
-        return "look_alike_in_reach" if doubled else fault
+    def _asked(self, old: Map, alignment: Alignment) -> tuple[Alignment, str]:
+        """An alignment with what is believed of it, and what speaks against it."""
+        if self._beliefs is None:
+            return alignment, ""
+        supposed = Supposed(old, self._task.new_map, alignment, self._beliefs)
+        objection = "" if supposed.is_believed() else DISBELIEVED
+        return replace(alignment, believed=supposed.believed), objection
 
     def compare_all(self) -> None:
         """If all keyframes are to be compared at once, do so: the newest old map that fits is accepted."""

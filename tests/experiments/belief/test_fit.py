@@ -18,7 +18,7 @@ MOTION = Unseen(3.0, 1.0, 0.5)
 def drawn(n, seed):
     rng = np.random.default_rng(seed)
     alike = np.append(rng.beta(*TRUE.here, n), rng.beta(*TRUE.alike, n))
-    return [Asked(str(i), "join", i >= n, MOTION, (seen(rng, a, TRUE),), ("",)) for i, a in enumerate(alike)]
+    return [Asked(str(i), "join", i >= n, MOTION, (seen(rng, a, TRUE),)) for i, a in enumerate(alike)]
 
 
 @pytest.mark.slow

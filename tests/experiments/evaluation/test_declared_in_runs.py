@@ -183,5 +183,6 @@ def test_what_is_asserted_stays_in_memory(sequence):
     (found,) = [e for e in record.events if e.kind == "relocalized"]
     assert found.relation is not None and "relation" not in found.record() and "relation" not in repr(found)
     assert list(found.record()) == [
-        "event", "frame", "stamp_s", "map_id", "keyframe", "first_frame", "inliers", "frames_lost", "lost_s"
+        "event", "frame", "stamp_s", "map_id", "keyframe", "first_frame", "inliers", "frames_lost", "lost_s",
+        "believed",
     ]  # fmt: skip

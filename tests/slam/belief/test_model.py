@@ -59,8 +59,10 @@ def test_a_double_gains_by_all_that_it_shows_as_the_logarithm_only():
 def test_the_farther_a_camera_can_have_come_the_more_places_are_taken_for_the_one():
     near, far = (prior(Unseen(1.0, r, 0.5), GIVEN, "relocalization") for r in (1.0, 100.0))
     assert near - far == pytest.approx(np.log(np.log(10001) / np.log(2)))
-    beyond = prior(Unseen(1.0, 1.0, 1.5), GIVEN, "relocalization")
-    assert near - beyond == pytest.approx(np.log(1000))
+    beyond = [near - prior(Unseen(1.0, 1.0, away), GIVEN, "relocalization") for away in (1.1, 1.44, 1e9)]
+    assert beyond == pytest.approx([0.0, 10 * np.log(1.2), np.log(100)]), "fast, or carried"
+    cut = prior(Unseen(0.03, 0.01, 5.0), GIVEN, "relocalization")
+    assert cut > 0, "in no time a camera comes to no double"
 
 
 def test_a_loop_is_where_the_path_says_but_for_its_drift():

@@ -96,7 +96,7 @@ def planted(monkeypatch, change):
         return found, reason, count
 
     monkeypatch.setattr(propagation, "align", align)
-    monkeypatch.setattr(propagation, "fault_of_alignment", lambda *_: "")
+    monkeypatch.setattr(propagation.Supposed, "is_believed", lambda _: True)
 
 
 WRONG = {

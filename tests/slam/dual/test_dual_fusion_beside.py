@@ -154,7 +154,7 @@ def test_a_map_fused_meanwhile_is_not_dropped_for_a_place_in_a_saved_one(monkeyp
     system = with_own_threads([])
     feed_until(system, images, stamps_s, "initialized")
     engine, frame = system.engine, system.engine.newest
-    found = SimpleNamespace(
+    found = SimpleNamespace(believed=None,
         map_id=0, faults=[], frames=[], keyframe=0, first=frame, tracker=engine.tracker,
         reason="", withdraw=lambda reason: setattr(found, "reason", reason), withdrawn=lambda: None,
     )  # fmt: skip

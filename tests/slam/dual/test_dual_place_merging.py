@@ -1,24 +1,22 @@
 """A saved map whose recovery has failed is fused when its place is recognised, and only then."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from dual_scenes import RECOVERED, RECOVERY_ONLY, STEP_M, dual, of, scale_between
-from slam_scenes import blanked, errors_m, feed, kinds, rms, toy
+from slam_scenes import PointWorld, blanked, errors_m, feed, kinds, rms, toy, tracked_in, walk
 
+from dslab.slam.belief.config import BeliefConfig
 from dslab.slam.core.events import TrackingState
-from dslab.slam.core.frame import Frame
-from dslab.slam.dual.dual_slam import DualSlam
-from dslab.slam.dual.fusion import place_merging
 from dslab.slam.dual.fusion.fuse import FusionConfig
 from dslab.slam.dual.fusion.place_merging import PlaceMerger
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.registry import ThreadSpec
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig
+from dslab.slam.loop_closing.map_alignment import Sim3AlignmentConfig, align
 from dslab.slam.map.invariants import check_map
-from dslab.slam.tracking.probation import ProbationConfig
-from dslab.slam.tracking.tracker import TrackingOutcome
+from dslab.slam.tracking.relocalization import RelocalizationOutcome
 
 # Recovery fails at the first unusable frame: only place recognition is left.
 BY_PLACE = replace(
@@ -76,57 +74,6 @@ def test_another_place_is_not_recognised():
     assert sorted(system.maps()) == [0, 1]
 
 
-@pytest.mark.slow
-def test_what_spoke_against_a_place_counts_at_the_next_keyframe(monkeypatch):
-    """Contradicted at two keyframes, the same similarity needs three sound ones before it is believed."""
-    said = iter(["contradicted"] * 2)
-    found = place_merging.fault_of_alignment
-    monkeypatch.setattr(place_merging, "fault_of_alignment", lambda *args: next(said, None) or found(*args))
-    images, stamps_s, _ = toy(130, 0, STEP_M)
-    system = dual(BY_PLACE)
-    feed(system, blanked(images, range(50, 56)), stamps_s)
-    reasons = [fusion.reason for fusion in of(system, "fusion")]
-    assert reasons == ["contradicted"] * 2 + [""]
-    assert of(system, "fusion")[-1].frame > of(system, "fusion")[-2].frame + 5
-
-
-@pytest.mark.slow
-def test_frames_of_a_map_whose_recovery_has_failed_are_sought_in_saved_maps(monkeypatch):
-    """Neither before the new map nor by its keyframes is the place found here."""
-    nothing = TrackingOutcome(False, 0, 0, "no_candidates")
-    monkeypatch.setattr(PlaceMerger, "search", lambda *_: ())
-    seek = DualSlam._seek_beside  # also of a frame that was offered before, as when a recovery ends at it
-    monkeypatch.setattr(DualSlam, "_seek_beside", lambda *given: [seek(*given) for _ in range(2)])
-    monkeypatch.setattr(DualSlam, "_find_back", lambda _, frame, outcome=None: (frame, outcome or nothing))
-    images, stamps_s, T_world_cam = toy(130, 2, STEP_M)
-    system = dual(replace(BY_PLACE, relocalization=True))
-    feed(system, blanked(images, range(50, 56)), stamps_s)
-    (ended,), (fusion,) = of(system, "recovery_end"), of(system, "fusion")
-    assert not ended.success and ended.frame < fusion.frame
-    assert (fusion.by, fusion.accepted, fusion.old_map_id, fusion.new_map_id) == ("place", True, 0, 1)
-    (path,) = system.trajectories()
-    before, after = (scale_between(path, T_world_cam, *side) for side in ((0, 49), (70, 129)))
-    assert before / after == pytest.approx(1, abs=0.05)
-
-
-def test_a_frame_with_fewer_features_than_its_keyframe_relates_no_maps():
-    """As one that was sought in a saved map before the new one was begun from it."""
-    images, stamps_s, _ = toy(80, 0, STEP_M)
-    system = dual(replace(BY_PLACE, place_merging=None))
-    feed(system, blanked(images, range(50, 56)), stamps_s, check=False)
-    engine, store = system.engine, system.engine.store
-    begun_from = store.current.features(int(store.current.keyframes()[0]))
-    engine._image = images[begun_from.index]
-    fewer = engine._features(begun_from.index, begun_from.stamp_s, dense=False)
-    assert len(fewer) < len(begun_from)
-    merger = PlaceMerger(FusionConfig(), PlaceCheckConfig(), 0)
-    assert merger.of_frames(store.current, store[store.saved[0]], [Frame(fewer)]) == ()
-
-
-def test_far_in_time_a_view_may_contradict_a_join_no_more_than_a_frame_a_relocalization():
-    assert PlaceCheckConfig().far_bar.max_contradicted == ProbationConfig().far_bar.max_contradicted
-
-
 def test_place_merging_can_be_switched_off(fused_by_place):
     images, stamps_s, _ = toy(130, 0, STEP_M)
     count = of(fused_by_place[0], "fusion")[0].frame + 3
@@ -148,8 +95,8 @@ def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     shown = blanked([images[i] for i in order], range(50, 56), range(97, 100))
     for i, (image, stamp_s) in enumerate(zip(shown, stamps_s, strict=True)):
         if i == 100:  # before, the two maps would have been fused
-            place, seed = system.engine.config.place, system.engine.seed
-            system.places = PlaceMerger(BY_PLACE.place_merging, place, seed)
+            beliefs, seed = system.engine.config.belief, system.engine.seed
+            system.places = PlaceMerger(BY_PLACE.place_merging, beliefs, seed)
         system.process(image, float(stamp_s))
     system.finish()
     check_map(system.current_map)
@@ -163,3 +110,41 @@ def test_the_older_map_absorbs_the_newer_when_the_older_is_tracked():
     assert len(path.frames) > 130
     truth = T_world_cam[order]
     assert rms(errors_m(path, truth)[0]) < 0.05
+
+
+LAX = Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20)
+
+
+class FoundByOneView:
+    """Place recognition that knows of a keyframe which shares nothing, and places a view nevertheless."""
+
+    def __init__(self, placed):
+        self.database = self.relocalizer = self
+        self._placed = placed
+
+    def relocalization_candidates(self, bow):
+        return [0]
+
+    def relocalize(self, frame, rng, similar):
+        assert similar == [0]
+        if len(frame.features) != len(self._placed.point):
+            return RelocalizationOutcome(False, -1, 0, 0, "too_few_matches")
+        frame.point[:], frame.T_cam_map = self._placed.point, self._placed.T_cam_map
+        frame.reference_keyframe = self._placed.reference_keyframe
+        return RelocalizationOutcome(True, 0, 50, 50)
+
+
+def test_a_view_finds_a_map_that_none_of_its_keyframes_aligns_with():
+    world, rng = PointWorld(points=6000), np.random.default_rng(1)
+    old, of_old = world.map_of([world.see(i, walk(i), rng, noise_px=0.5) for i in range(0, 300, 5)], rng)
+    seen = [world.see(900 + i, walk(i), rng, noise_px=0.5) for i in (295, 299)]
+    new, _ = world.map_of(seen, rng, map_id=1)
+    new.transform(2.0, np.eye(3), np.array([1.0, 0.0, 0.0]))
+    for k in range(2):
+        assert align(old, new, 0, k, rng, LAX)[0] is None
+    placed = tracked_in(old, of_old, seen[0], 59)
+    merger = PlaceMerger(FusionConfig(confirmations=1, min_matches=20), BeliefConfig(), 0)
+    merger.search(new, [old], lambda _: FoundByOneView(placed), nullcontext())
+    found = merger._supposed[0].alignments[0]
+    assert found.scale == pytest.approx(0.5, rel=0.02) and found.old_keyframe == 59
+    assert found.S_old_new @ [1.0, 0.0, 0.0, 1.0] == pytest.approx([0, 0, 0, 1], abs=0.2)

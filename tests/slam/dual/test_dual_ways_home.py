@@ -8,11 +8,11 @@ from dual_scenes import RECOVERY_ONLY, STEP_M, dual, of, with_own_threads
 from slam_scenes import blanked, check_maps, errors_m, feed, kinds, reconfigure, rms, toy
 from test_dual_lifecycle import Lasting
 
+from dslab.slam.belief.config import BeliefConfig
+from dslab.slam.belief.fitted import fitted
 from dslab.slam.core.events import TrackingState
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.fusion.fuse import FusionConfig
-from dslab.slam.places.evidence import EvidenceBar
-from dslab.slam.tracking.probation import ProbationConfig
 
 BLANK = range(50, 56)
 
@@ -39,15 +39,18 @@ def beside_a_new_scene(both=68):
     return blanked(images, BLANK), np.arange(len(order)) / 30.0, T_world_cam[order]
 
 
-HALF = EvidenceBar(min_share=0.5, max_contradicted=0.5, min_extent=0.16)  # a third is another scene
+@pytest.fixture
+def changeable(monkeypatch):
+    """Of places it is believed that a third is often another scene, and of no other that they look so."""
+    given = replace(fitted(), here=(4.0, 2.0), alike=(0.5, 2.0))
+    monkeypatch.setattr("dslab.slam.belief.belief.fitted", lambda: given)
 
 
 @pytest.mark.parametrize("relocalization", [True, False])
 @pytest.mark.slow
-def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalization):
+def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalization, changeable):
     images, stamps_s, truth = beside_a_new_scene()
     system = dual(replace(RECOVERY_ONLY, relocalization=relocalization, start_keyframes=50))
-    reconfigure(system, probation=ProbationConfig(bar=HALF))
     results = feed(system, images, stamps_s)
     if not relocalization:
         assert "map_dropped" not in kinds(system) and sorted(system.maps()) == [0, 1]
@@ -63,11 +66,11 @@ def test_a_small_new_map_is_dropped_where_a_saved_one_is_found_again(relocalizat
     assert path.frames[-1] == len(images) - 1 and rms(errors_m(path, truth)[0]) < 0.05
 
 
-def test_a_place_that_is_all_but_confirmed_counts_though_a_recovery_has_begun_meanwhile():
+def test_a_place_that_is_all_but_confirmed_counts_though_a_recovery_has_begun_meanwhile(changeable):
     """The recovery would fail: the scene of the new map was not lit before."""
     images, stamps_s, _ = beside_a_new_scene(both=65)
     system = with_own_threads([Lasting(200)], relocalization=True, start_keyframes=4)
-    reconfigure(system, probation=ProbationConfig(bar=HALF))
+    reconfigure(system, belief=BeliefConfig(alpha=1e-3))
     feed(system, images, stamps_s)
     (start,), (end,), (dropped,), (back,) = (
         of(system, k) for k in ("recovery_start", "recovery_end", "map_dropped", "relocalized")
@@ -104,7 +107,7 @@ def test_a_recovery_is_fused_into_a_map_that_has_been_tracked_on_since():
         system.process(image, float(stamp_s))
     system.dual = replace(system.dual, relocalization=True)
     often = replace(system.config.tracking, keyframe_information=1.0)  # known ground asks for no keyframe
-    reconfigure(system, probation=ProbationConfig(far_s=10.0), tracking=often)
+    reconfigure(system, tracking=often, belief=BeliefConfig(alpha=0.2))
     relocalize = system.engine.relocalize
     system.engine.relocalize = lambda frame, ids, *rest: relocalize(frame, [0], *rest)
     feed(system, shown[100:], stamps_s[100:])

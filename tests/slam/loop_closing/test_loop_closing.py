@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from loop_scenes import ring
 
+from dslab.slam.belief.config import BeliefConfig
 from dslab.slam.loop_closing.correction import correct_loop
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
-from dslab.slam.loop_closing.place_check import PlaceCheckConfig
 from dslab.slam.map.invariants import check_map
 from dslab.slam.mapping.local_mapping import LocalMappingConfig
 from dslab.slam.optimization.sim3 import horn_sim3, sim3_decompose
@@ -38,7 +38,7 @@ def same_place(r, keyframe):
 
 def detector(r, candidates, **config):
     config = replace(LoopClosingConfig(), **config)
-    return LoopDetector(r.map, Oracle(candidates), config, PlaceCheckConfig())
+    return LoopDetector(r.map, Oracle(candidates), config, BeliefConfig())
 
 
 def run(d, keyframes):

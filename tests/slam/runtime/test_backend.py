@@ -13,6 +13,7 @@ from dslab.slam.core.events import TrackingState
 from dslab.slam.factory import build_system
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
+from dslab.slam.loop_closing.map_alignment import Alignment
 from dslab.slam.map.adjustment import MapAdjustment
 from dslab.slam.map.invariants import check_map
 from dslab.slam.runtime.backend import ExecutionMode, MapChange
@@ -20,6 +21,8 @@ from dslab.slam.toy_sequence import CAMERA
 
 COUNT, STEP_M = 65, 0.05
 THREADED = ExecutionMode.THREADED
+
+STANDING = Alignment(np.eye(4), 1.0, 0, 0, 0, np.zeros(0, np.int32), np.zeros(0, np.int32))
 
 
 def fed_in_time(system, images, stamps_s, pause_s=0.02):
@@ -160,7 +163,7 @@ def drifted(scale):
         S[:3, :3] *= scale
         S[:3, 3] = -S[:3, :3] @ centre
         nothing = np.empty(0, np.int32)
-        return (Loop(keyframe, 0, S, nothing.astype(int), nothing, None), nothing), []
+        return (Loop(keyframe, 0, S, nothing.astype(int), nothing, STANDING), nothing), []
 
     return detect
 

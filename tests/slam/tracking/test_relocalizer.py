@@ -10,12 +10,12 @@ from slam_scenes import (
     walk,
 )
 
-from dslab.slam.core.results import MapTrajectory
+from dslab.slam.core.geometry import camera_centre
 from dslab.slam.map.map import Map
 from dslab.slam.places.recognition import KeyframeDatabase
 from dslab.slam.places.training import train_vocabulary
 from dslab.slam.tracking.config import TrackingConfig
-from dslab.slam.tracking.reach import Reach, ReachConfig
+from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.relocalization import RelocalizationConfig, Relocalizer
 from dslab.slam.tracking.rules.registry import rules_of
 
@@ -137,17 +137,7 @@ def test_an_empty_frame_and_an_empty_map_have_no_candidates(known):
     assert nowhere.relocalize(look(known, walk(37)).again(), rng()).reason == "no_candidates"
 
 
-@pytest.mark.parametrize(("factor", "reason"), [(0.1, "out_of_reach"), (2.0, "")])
-def test_a_place_that_the_camera_cannot_have_reached_is_refused(known, factor, reason):
-    path = MapTrajectory(0, np.arange(20), np.arange(20) / 30, np.linalg.inv([walk(i) for i in range(20)]))
-    reach = Reach.of(path, ReachConfig(factor=factor))
-    assert reach.speed == pytest.approx(0.06 * 30, rel=0.3)
-    sighting = known[0].see(49, walk(49), np.random.default_rng(7), noise_px=0.5, bits=6)
-    outcome = relocalizer(known).relocalize(sighting.again(), rng(), reach)
-    assert (outcome.success, outcome.reason) == (not reason, reason)
-
-
-def test_of_two_places_that_look_alike_neither_is_taken(known):
+def test_of_two_places_that_look_alike_neither_is_taken_unless_the_camera_can_only_have_come_to_one(known):
     """The same things again, 40 m away: both fit as well."""
     world, r = known[0], np.random.default_rng(1)
     again = [rigid((-40, 0, 0))] * 10
@@ -165,7 +155,12 @@ def test_of_two_places_that_look_alike_neither_is_taken(known):
     built, _ = both.map_of(seen, r)
     frame = look(known, walk(37)).again()
     database = KeyframeDatabase(built, known[3])
-    outcome = Relocalizer(built, database, RelocalizationConfig(), RULES).relocalize(frame, rng())
+    relocalizer = Relocalizer(built, database, RelocalizationConfig(), RULES)
+    outcome = relocalizer.relocalize(frame, rng())
     assert (outcome.success, outcome.reason) == (False, "ambiguous")
     bold = Relocalizer(built, database, RelocalizationConfig(min_margin=1.0), RULES)
     assert bold.relocalize(frame, rng()).success
+    for at in (0.0, 40.0):
+        near = Reach(np.array([at, 0.0, 0.0]) + camera_centre(walk(36)), frame.features.stamp_s, 1.0)
+        found = relocalizer.relocalize(frame, rng(), near)
+        assert found.success and abs(camera_centre(frame.T_cam_map)[0] - near.centre[0]) < 1
