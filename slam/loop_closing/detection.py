@@ -14,7 +14,7 @@ from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.loop_closing.correction import Loop
 from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree, align
-from dslab.slam.loop_closing.supposed import Supposed
+from dslab.slam.loop_closing.supposed import Supposed, suppose
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.places.recognition import KeyframeDatabase
@@ -155,22 +155,13 @@ class LoopDetector:
         if self._is_misfit(keyframe, alignment):
             return None
         if self._beliefs is not None:
-            supposed = self._suppose(alignment, self._beliefs)
+            supposed = suppose(self._supposed, m, m, alignment, Agreement(), self._beliefs)
             if not supposed.is_believed(self._supposed):
                 if supposed.believed >= 0.5:  # more views may come
                     return None
                 return Refusal(keyframe, candidate, len(points), DISBELIEVED, supposed.believed)
             alignment = replace(alignment, believed=supposed.believed)
         return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around
-
-    def _suppose(self, alignment: Alignment, beliefs: BeliefConfig) -> Supposed:
-        """Take an alignment as a further one of what was supposed before, or else for itself."""
-        for supposed in self._supposed:
-            if supposed.is_that_of(alignment, Agreement()):
-                supposed.alignments.append(alignment)
-                return supposed
-        self._supposed.append(Supposed(self.map, self.map, alignment, beliefs))
-        return self._supposed[-1]
 
     def _surroundings(self, candidate: int) -> np.ndarray:
         """(q,) int32 points that the candidate and its neighbours see."""

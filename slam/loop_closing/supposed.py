@@ -111,6 +111,18 @@ class Supposed:
         return sim3_decompose(self.newest.S_old_new)[0] * float(np.linalg.norm(one - other))
 
 
+def suppose(
+    known: list[Supposed], old: Map, new: Map, found: Alignment, bounds: Agreement, config: BeliefConfig
+) -> Supposed:
+    """Take an alignment as a further one of what was supposed before, or else for itself."""
+    for supposed in known:
+        if supposed.is_that_of(found, bounds):
+            supposed.alignments.append(found)
+            return supposed
+    known.append(Supposed(old, new, found, config))
+    return known[-1]
+
+
 def _exclude(one: Supposed, other: Supposed) -> bool:
     """Return True if at most one of two can hold.
 

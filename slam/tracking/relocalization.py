@@ -22,7 +22,7 @@ from dslab.slam.tracking.reach import Reach
 from dslab.slam.tracking.rules.interface import Rules
 
 _UNLIKELY = 3.0
-"""Of the logarithm of how likely a camera has come to one place over another."""
+"""Places to which a camera has come less than a twentieth (e⁻³) as likely as to another are left out."""
 
 
 @settings

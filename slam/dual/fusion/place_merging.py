@@ -13,7 +13,7 @@ from dslab.slam.core.seeds import rng_for
 from dslab.slam.dual.fusion.fuse import FusedMaps, FusionConfig
 from dslab.slam.dual.fusion.map_merger import STAGE, MapMerger
 from dslab.slam.loop_closing.map_alignment import Alignment, align, align_relocalized
-from dslab.slam.loop_closing.supposed import Supposed
+from dslab.slam.loop_closing.supposed import Supposed, suppose
 from dslab.slam.map.map import Map
 from dslab.slam.map_store import Places
 from dslab.slam.optimization.sim3 import sim3_inverse
@@ -93,7 +93,7 @@ class PlaceMerger:
                 with lock:
                     similar = places.database.relocalization_candidates(bow)
                 for alignment in self._alignments(current, keyframe, old, places, similar, rng):
-                    self._suppose(current, old, alignment)
+                    suppose(self._supposed, old, current, alignment, self._config, self._beliefs)
             for supposed in self._supposed:
                 supposed.look(current, keyframe)
             accepted = self._decided(current)
@@ -130,14 +130,6 @@ class PlaceMerger:
             return []
         alignment = align_relocalized(old, current, frame, keyframe, rng, self._config)
         return [alignment] if alignment is not None else []
-
-    def _suppose(self, current: Map, old: Map, alignment: Alignment) -> None:
-        """Take an alignment as a further one of what was supposed before, or else for itself."""
-        for supposed in self._supposed:
-            if supposed.is_that_of(alignment, self._config):
-                supposed.alignments.append(alignment)
-                return
-        self._supposed.append(Supposed(old, current, alignment, self._beliefs))
 
     def _decided(self, current: Map) -> tuple[Alignment, ...]:
         """The alignments of what is believed, the newest last, if they are at keyframes enough."""
