@@ -75,7 +75,7 @@ class Handover:
             matches=len(loop.points),
             cpu_ms=change.cpu_ms,
             relation=relation,
-            believed=loop.alignment.believed,
+            believed=loop.believed,
         )
 
     def _adjust(self, change: Adjusted) -> None:

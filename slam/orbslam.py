@@ -66,7 +66,6 @@ PUBLISHED: dict[str, Published] = {
     "loops.radius_px": Published(10.0, "release"),
     "loops.min_matches": Published(40, "release"),
     "loops.adjustment_iterations": Published(0, "VII-D: the essential graph alone"),
-    "loops.judgement": Published(None, "VII: none"),
     "relocalization.candidates": Published(_ALL, "V-C: every candidate"),
     "relocalization.last_keyframe": Published(False, "V-C: candidates of the database"),
     "relocalization.local_map_keyframes": Published(1, "V-C: the points of the candidate keyframe"),
@@ -78,7 +77,6 @@ PUBLISHED: dict[str, Published] = {
 """Settings as published, by their names."""
 
 NO_EFFECT: dict[str, str] = {
-    "loops.alpha": "belief",
     "initialization.gms": "initialization.matcher",
     "initialization.two_view": "initialization.geometry",
     "initialization.second_motion": "initialization.second_motion.max_views",

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import expit, logit
+from scipy.special import betaln, expit, logit
 
 from dslab.experiments.belief.logs import Asked
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.ledger import Ledger
 from dslab.slam.belief.model import (
+    LEAST_TORN,
     SHARES,
     Parameters,
     Sight,
@@ -59,7 +60,7 @@ def fit(asked: Sequence[Asked], start: Parameters | None = None) -> Parameters:
         lambda x: -np.mean([evidence(sight, of(x)).here for sight in right]), x, bounds=_BOUNDS,
         method="L-BFGS-B", options={"eps": 1e-3, "ftol": 1e-6},
     )  # fmt: skip
-    return fit_alternatives(asked, of(found.x))
+    return fit_torn(asked, fit_alternatives([one for one in asked if one.sights], of(found.x)))
 
 
 def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Parameters:
@@ -97,6 +98,28 @@ def fit_alternatives(asked: Sequence[Asked], parameters: Parameters) -> Paramete
         options={"xatol": 0.02, "fatol": 1e-4, "maxiter": 2000, "initial_simplex": simplex},
     )  # fmt: skip
     return of(found.x)
+
+
+def fit_torn(asked: Sequence[Asked], parameters: Parameters) -> Parameters:
+    """What right and wrong loops tear of a map; where few were asked, hardly changed."""
+    here, elsewhere = (
+        _beta([one.torn for one in asked if one.false == false and np.isfinite(one.torn)], before)
+        for false, before in ((False, parameters.torn_here), (True, parameters.torn_elsewhere))
+    )
+    return replace(parameters, torn_here=here, torn_elsewhere=elsewhere)
+
+
+def _beta(shares: Sequence[float], before: tuple[float, float]) -> tuple[float, float]:
+    """Exponents of the likeliest Beta distribution, known to a factor of e before."""
+    x = np.clip(shares, LEAST_TORN, 1 - LEAST_TORN)
+
+    def loss(y: np.ndarray) -> float:
+        a, b = np.exp(y)
+        told = (a - 1) * np.log(x).sum() + (b - 1) * np.log1p(-x).sum() - len(x) * betaln(a, b)
+        return float(0.5 * ((y - np.log(before)) ** 2).sum() - told)
+
+    a, b = np.exp(minimize(loss, np.log(before), method="Nelder-Mead").x)
+    return float(a), float(b)
 
 
 def _views(asked: Sequence[Asked], false: bool) -> list[Sight]:

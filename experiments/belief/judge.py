@@ -8,7 +8,7 @@ from scipy.optimize import minimize_scalar
 
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.ledger import Ledger
-from dslab.slam.belief.model import Parameters, prior
+from dslab.slam.belief.model import Parameters, of_torn, prior
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,12 @@ class Judged:
 
 
 def beliefs(asked: Sequence[Asked], parameters: Parameters) -> np.ndarray:
-    """(n,) log-odds of each hypothesis, by the motion to it and by all its views."""
+    """(n,) log-odds of each hypothesis: the motion to it, all its views, and what a correction tears."""
     return np.array(
         [
-            prior(one.unseen, parameters, one.kind) + Ledger(parameters, one.sights).evidence().ratio
+            prior(one.unseen, parameters, one.kind)
+            + Ledger(parameters, one.sights).evidence().ratio
+            + (of_torn(one.torn, parameters) if np.isfinite(one.torn) else 0.0)
             for one in asked
         ]
     )

@@ -1,5 +1,6 @@
 """Logged hypotheses of batches: what was supposed, what every view said of it, and whether it was so."""
 
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE
+from dslab.experiments.result_folder import SUMMARY_FILE
 from dslab.scenarios.errors import InputError
 from dslab.sim.io.folders import write_file
 from dslab.slam.belief.model import Sight, Unseen
@@ -25,6 +27,8 @@ class Asked:
         false: whether it is false, by the audit; that of most of its views.
         unseen: the motion to the place, as first supposed.
         sights: of every view, in order.
+        torn: share of the map's observations that the correction of a loop tears; NaN if it was not asked, or
+            if something false was declared before: in a wrong map right loops tear.
     """
 
     run: str
@@ -32,6 +36,7 @@ class Asked:
     false: bool
     unseen: Unseen
     sights: tuple[Sight, ...]
+    torn: float = np.nan
 
 
 def read_logs(places: Sequence[Path], numbers: range | None = None) -> list[Asked]:
@@ -71,7 +76,7 @@ def collect(places: Sequence[Path], file: Path, views: int, right_joins: int) ->
         right_joins: most right joins of a run; there is one for every other keyframe.
 
     Returns:
-        Numbers of hypotheses and of views that it has.
+        Numbers of hypotheses and of rows that it has.
     """
     kept, hypotheses = [], 0
     for place in places:
@@ -82,9 +87,11 @@ def collect(places: Sequence[Path], file: Path, views: int, right_joins: int) ->
                     joins += 1
                     if joins > right_joins:
                         continue
-                rows = np.unique(np.linspace(0, len(own) - 1, views).round().astype(int))
-                kept.append(own.iloc[rows].assign(run=run))
-                hypotheses += 1
+                is_view = np.flatnonzero(_is_view(own))
+                rows = is_view[np.unique(np.linspace(0, len(is_view) - 1, views).round().astype(int))]
+                rows = np.union1d(rows, np.flatnonzero(~_is_view(own)))
+                kept += [own.iloc[rows].assign(run=run)] if len(rows) else []
+                hypotheses += len(rows) > 0
     if not kept:
         raise InputError(", ".join(map(str, places)), "no hypothesis in its logs can be judged", "log others")
     whole = pd.concat(kept, ignore_index=True)
@@ -119,7 +126,19 @@ def _tables(place: Path) -> Iterator[tuple[pd.DataFrame, str]]:
         remedy = "run its batch with hypotheses: true"
         raise InputError(str(place), f"no run in it has a {HYPOTHESES_FILE}", remedy)
     for file in files:
-        yield pd.read_parquet(file), str(file.parent.relative_to(place.parent))
+        table = pd.read_parquet(file)
+        asked_of_wrong_map = ~_is_view(table) & (table["frame"].to_numpy() > _first_false(file.parent))
+        yield table[~asked_of_wrong_map], str(file.parent.relative_to(place.parent))
+
+
+def _first_false(run: Path) -> float:
+    """Frame at which a run declared something false first; infinite if it did not."""
+    try:
+        audit = json.loads((run / SUMMARY_FILE).read_bytes())["audit"]
+        declared = [one for kind in ("loops", "joins", "fusions", "relocalizations") for one in audit[kind]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return np.inf
+    return min((one["frame"] for one in declared if one["false"]), default=np.inf)
 
 
 def _judged(table: pd.DataFrame) -> pd.DataFrame:
@@ -133,12 +152,21 @@ def _asked(table: pd.DataFrame, run: str) -> list[Asked]:
     if missing:
         raise InputError(run, f"its log of hypotheses has no {missing[0]}", "log it again with this release")
     found = []
-    for _, views in _judged(table).groupby(_HYPOTHESIS, sort=False):
+    for _, rows in _judged(table).groupby(_HYPOTHESIS, sort=False):
+        is_view, torn = _is_view(rows), np.nan
+        if not is_view.all():
+            torn = float(rows["torn"][~is_view].iloc[-1])
+        views = rows[is_view]
         sights = tuple(
             Sight(*(np.asarray(getattr(view, name)) for name in Sight._fields)) for view in views.itertuples()
         )
-        false = bool(views["false"].astype(float).mean() > 0.5)
-        first = views.iloc[0]
+        false = bool(rows["false"].astype(float).mean() > 0.5)
+        first = rows.iloc[0]
         unseen = Unseen(*(float(first[name]) for name in Unseen._fields))
-        found.append(Asked(run, str(first["kind"]), false, unseen, sights))
+        found.append(Asked(run, str(first["kind"]), false, unseen, sights, torn))
     return found
+
+
+def _is_view(rows: pd.DataFrame) -> np.ndarray:
+    """(n,) bool, whether a row is a view; a few say what a loop's correction tears."""
+    return rows["torn"].isna().to_numpy() if "torn" in rows else np.ones(len(rows), np.bool_)

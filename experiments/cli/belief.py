@@ -29,7 +29,9 @@ _Runs = Annotated[
 def collect_command(
     folders: _Folders,
     out_file: Annotated[Path, typer.Option("--out", metavar="FILE.parquet", help="For the collected logs.")],
-    views: Annotated[int, typer.Option(min=1, help="Most views of a hypothesis, evenly spaced.")] = 8,
+    views: Annotated[
+        int, typer.Option(min=0, help="Most views of a hypothesis, evenly spaced; 0: what loops tear.")
+    ] = 8,
     right_joins: Annotated[int, typer.Option(min=1, help="Most right joins of a run.")] = 20,
 ) -> None:
     """Put the logs of batches into one thinned file; `fit` and `judge` take it as they take folders.
@@ -41,7 +43,7 @@ def collect_command(
     from dslab.experiments.belief.logs import collect
 
     hypotheses, kept = collect(folders, out_file, views, right_joins)
-    say(f"{hypotheses} hypotheses with {kept} views in {out_file}")
+    say(f"{hypotheses} hypotheses with {kept} rows in {out_file}")
 
 
 @app.command("fit")

@@ -40,14 +40,15 @@ def hypotheses(views: Sequence[LoggedView], truth: Truth) -> pd.DataFrame:
             {
                 "kind": view.kind, "map": map_id, "supposed_by": first, "place": place,
                 "frame": int(new.frames[0]), "stamp_s": float(new.stamps_s[0]),
-                "log_odds": view.log_odds, "explored": view.explored, "proposes": view.proposes,
+                "log_odds": view.log_odds, "explored": view.explored, "torn": view.torn,
+                "proposes": view.proposes,
                 "false": false, "error_over_bound": off, "reason": reason,
             }
             | view.unseen._asdict()
             | {name: getattr(view.sight, name).astype(kind) for name, kind in _SIGHT.items()}
         )  # fmt: skip
     columns = ["kind", "map", "supposed_by", "place", "frame", "stamp_s", "log_odds", *Unseen._fields]
-    columns += ["explored", "proposes", "false", "error_over_bound", "reason", *_SIGHT]
+    columns += ["explored", "torn", "proposes", "false", "error_over_bound", "reason", *_SIGHT]
     table = pd.DataFrame(rows, columns=columns)
     return table.astype({"false": "boolean", "error_over_bound": float})
 

@@ -29,6 +29,8 @@ class LoggedView:
         log_odds: that it is there, as believed since this view.
         unseen: the motion to the place.
         explored: length of the path of the map's keyframes, median depths of the place.
+        torn: share of the map's observations that the correction of a loop tears, if this is what was asked
+            and no view.
     """
 
     kind: str
@@ -38,11 +40,12 @@ class LoggedView:
     log_odds: float
     unseen: Unseen
     explored: float = 0.0
+    torn: float = np.nan
 
     @property
     def proposes(self) -> bool:
         """Whether this is one of the views that supposed the place, and so no evidence."""
-        return int(self.relation.new.frames[0]) in self.hypothesis[1:]
+        return np.isnan(self.torn) and int(self.relation.new.frames[0]) in self.hypothesis[1:]
 
 
 _log: ContextVar[list[LoggedView] | None] = ContextVar("hypotheses", default=None)
@@ -70,11 +73,12 @@ def note(
     log_odds: float,
     unseen: Callable[[], Unseen],
     moved: float | None = None,
+    torn: float = np.nan,
 ) -> None:
     """Put a view down, if hypotheses are logged.
 
     Args:
-        kind, hypothesis, log_odds, unseen: as of :class:`LoggedView`.
+        kind, hypothesis, log_odds, unseen, torn: as of :class:`LoggedView`.
         map_: of the place.
         keyframe: row of a keyframe there.
         S_cam_map: (4, 4) supposed similarity from the map to the view's camera.
@@ -94,4 +98,4 @@ def note(
     sight = sight_of(map_, points, T_cam_map, features, depth)
     centres = keyframe_trajectory(map_).T_map_cam[:, :3, 3]
     explored = float(np.linalg.norm(np.diff(centres, axis=0), axis=1).sum() / relation.depth)
-    views.append(LoggedView(kind, hypothesis, relation, sight, log_odds, unseen(), explored))
+    views.append(LoggedView(kind, hypothesis, relation, sight, log_odds, unseen(), explored, torn))

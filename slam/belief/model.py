@@ -33,6 +33,11 @@ few cameras are so much faster, and at last the recording was cut or the camera 
 takes no time: right after the loss nothing else can have led to a double. The camera of a loop was seen all
 the way, r: where the loop is right, it is where its path says but for what it drifted, of Student's
 distribution and in the middle δ r; elsewhere it is anywhere.
+
+A loop's correction bends the map. Where the loop is right, drift is spread over so many keyframes that hardly
+any observation stops fitting; else many do. The share of those that do is of one Beta distribution if it is
+right, and of another one if it is not; no residual speaks for itself, as they are torn together. In a map
+that something false has bent already it is the other way round.
 """
 
 from dataclasses import dataclass
@@ -40,7 +45,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.special import expit, log_expit, log_softmax, logit, logsumexp
+from scipy.special import betaln, expit, log_expit, log_softmax, logit, logsumexp
 
 _V = np.linspace(-2.5, 2.5, 11)
 _Z = np.linspace(-3.0, 3.0, 9)
@@ -61,6 +66,10 @@ _APART = 0.2
 """Median depths within which two positions are one place."""
 _LEAST = 0.1
 """Of r: a camera that stays may have turned, and sees what it has not seen."""
+LEAST_TORN = 1e-3
+"""Share of observations: less is told as this is."""
+WRONG_MAPS = 0.05
+"""Share of maps that something false has bent already: one of 39 at α = .01, more where more is asked."""
 _SUREST = 20.0
 """Logit of a chance that is 1 in double precision soon after, where what is not seen would be impossible."""
 
@@ -84,6 +93,8 @@ class Parameters:
         of_loops: odds that a loop without any drift is none.
         of_joins: how much less likely a join is right than a relocalization, before any view.
         drift: δ.
+        torn_here, torn_elsewhere: both exponents of the Beta distribution of the share of observations that a
+            loop's correction tears, where the loop is right and where it is not.
     """
 
     rate: float = 1.0
@@ -101,6 +112,8 @@ class Parameters:
     of_loops: float = 1.0
     drift: float = 0.05
     of_joins: float = 1.0
+    torn_here: tuple[float, float] = (0.5, 20.0)
+    torn_elsewhere: tuple[float, float] = (1.0, 2.0)
 
 
 class Sight(NamedTuple):
@@ -247,3 +260,16 @@ def come(unseen: Unseen) -> float:
     """Logarithm of how likely a camera has come so far, over places within its reach; 0 if it is unknown."""
     beyond = unseen.away / (unseen.radius + _APART)
     return max(-_TAIL * float(np.log(beyond)), float(_CUT)) if beyond > 1.0 else 0.0
+
+
+def of_torn(share: float, parameters: Parameters) -> float:
+    """Logarithm of how much likelier a right loop's correction tears a share than a wrong one's."""
+    x = np.clip(share, LEAST_TORN, 1 - LEAST_TORN)
+    here, elsewhere = (
+        (a - 1) * np.log(x) + (b - 1) * np.log1p(-x) - betaln(a, b)
+        for a, b in (parameters.torn_here, parameters.torn_elsewhere)
+    )
+    sound, wrong = np.log1p(-WRONG_MAPS), np.log(WRONG_MAPS)
+    return float(
+        np.logaddexp(sound + here, wrong + elsewhere) - np.logaddexp(sound + elsewhere, wrong + here)
+    )

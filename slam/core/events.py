@@ -198,9 +198,8 @@ class LoopRefused(Event):
     Attributes:
         keyframe, loop_keyframe: frame indices of the two keyframes.
         matches: points matched between them.
-        reason: what spoke against it: ``disbelieved`` by the views around; in the corrected copy of the map
-            ``map_is_stretched``, ``map_does_not_fit`` or ``matches_do_not_fit``; or ``map_has_changed``
-            meanwhile.
+        reason: what spoke against it: ``disbelieved`` by the views around; with them by its own
+            observations, ``map_is_torn``; or ``map_has_changed`` meanwhile.
         believed: chance that the place is right, as believed then; None if no belief was asked.
     """
 

@@ -22,7 +22,6 @@ from dslab.slam.ldso.corner_map import CornerMap
 from dslab.slam.ldso.odometry import Odometry
 from dslab.slam.loop_closing.correction import Loop, move_map
 from dslab.slam.loop_closing.detection import LoopDetector, Refusal
-from dslab.slam.loop_closing.judgement import judge
 from dslab.slam.map.relation import loop_relation
 from dslab.slam.optimization.pose_graph import optimize_pose_graph
 from dslab.slam.optimization.sim3_algebra import invert_sim3
@@ -124,8 +123,7 @@ class LoopCloser:
                 refused.append(self._detector.refused(loop, outcome))
             else:
                 frames = m.frame_index(loop.keyframe), m.frame_index(loop.loop_keyframe)
-                believed = loop.alignment.believed
-                closed = Closed(*frames, outcome, len(loop.points), relation, believed)
+                closed = Closed(*frames, outcome, len(loop.points), relation, loop.believed)
         return closed, [self._told(refusal) for refusal in refused]
 
     def _close(self, loop: Loop) -> float | str:
@@ -149,9 +147,8 @@ class LoopCloser:
         S = scaled(distributed(scaled(T, 1 / factor), T_odometry, loops, held, self._scale_weight), factor)
         corrected = m.copy()
         change = move_map(corrected, S[rows])
-        reason = judge(m, corrected, loop).fault(self._config.loops.judgement, adjusted=False)
-        if reason:
-            return reason
+        if not self._detector.is_believed(loop, m, corrected):
+            return "map_is_torn"
         m.adopt(corrected)
         m.loop_edges.append((loop.keyframe, loop.loop_keyframe))
         factor *= odometry.move_keyframes(S)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.slam.loop_closing.essential_graph import optimize_essential_graph
-from dslab.slam.loop_closing.map_alignment import Alignment
+from dslab.slam.loop_closing.supposed import Supposed
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.mapping.local_mapping import LocalMappingConfig
@@ -26,7 +26,7 @@ class Loop:
             lengths of the keyframe's surroundings.
         rows: (n,) keypoints of the keyframe, from 0, that match points of the loop's side.
         points: (n,) int32 those points.
-        alignment: of the two keyframes alone, from which the search for the points began.
+        supposed: what is believed of it; None if it was not asked.
     """
 
     keyframe: int
@@ -34,7 +34,12 @@ class Loop:
     S_cam_map: np.ndarray
     rows: np.ndarray
     points: np.ndarray
-    alignment: Alignment
+    supposed: Supposed | None = None
+
+    @property
+    def believed(self) -> float | None:
+        """Chance that it is right, when it was last asked; None if it was not."""
+        return None if self.supposed is None else self.supposed.believed
 
 
 def correct_loop(map_: Map, loop: Loop, loop_points: np.ndarray, mapping: LocalMappingConfig) -> np.ndarray:

@@ -12,9 +12,9 @@ from dslab.slam.belief.config import BeliefConfig
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.loop_closing._alignment_kernels import match_across
 from dslab.slam.loop_closing.correction import Loop
-from dslab.slam.loop_closing.judgement import JudgementConfig
-from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, agree, align
+from dslab.slam.loop_closing.map_alignment import Agreement, Alignment, Sim3AlignmentConfig, align
 from dslab.slam.loop_closing.supposed import Supposed, suppose
+from dslab.slam.loop_closing.torn import torn
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.places.recognition import KeyframeDatabase
@@ -26,9 +26,6 @@ class LoopClosingConfig:
 
     min_gap: int = setting(10, "least number of keyframes between two loops, and before the first")
     consistency: int = setting(3, "consecutive keyframes whose candidates must be covisible")
-    alpha: float = setting(
-        0.2, "as belief.alpha, of a loop that the corrected map is still asked about", gt=0, le=0.5
-    )
     alignment: Sim3AlignmentConfig = setting(
         Sim3AlignmentConfig(min_candidates=20, min_inliers=20, min_share=0.3, min_matches=20),
         "of its two ends, low, as the search in the surroundings decides",
@@ -36,9 +33,6 @@ class LoopClosingConfig:
     radius_px: float = setting(10.0, "half side of the window of that search, on level 0")
     min_matches: int = setting(40, "fewest points of the loop's surroundings matched in the keyframe")
     adjustment_iterations: int = setting(10, "steps of global bundle adjustment after a loop; 0 for none")
-    judgement: JudgementConfig | None = setting(
-        JudgementConfig(), "of the corrected copy of the map; null: none"
-    )
 
 
 @dataclass(frozen=True)
@@ -75,12 +69,11 @@ class LoopDetector:
     ) -> None:
         self.map = map_
         self.config = config
-        self._beliefs = beliefs and replace(beliefs, alpha=max(beliefs.alpha, config.alpha))
+        self._beliefs = beliefs
         self._supposed: list[Supposed] = []
         self._database = database
         self._groups: list[_Candidates] = []
         self._last_loop = 0
-        self._misfits: list[tuple[int, Alignment]] = []
 
     def detect(
         self, keyframe: int, rng: np.random.Generator
@@ -112,18 +105,18 @@ class LoopDetector:
 
     def closed(self, loop: Loop) -> None:
         """Take over that a loop was closed."""
-        self._last_loop, self._groups, self._misfits, self._supposed = loop.keyframe, [], [], []
+        self._last_loop, self._groups, self._supposed = loop.keyframe, [], []
+
+    def is_believed(self, loop: Loop, before: Map, corrected: Map) -> bool:
+        """Ask a map's corrected copy too, before it is adjusted; a loop that was not asked is believed."""
+        if loop.supposed is None:
+            return True
+        loop.supposed.tear(before, torn(before, corrected))
+        return loop.supposed.is_believed(self._supposed)
 
     def refused(self, loop: Loop, reason: str) -> Refusal:
-        """Take over that the corrected map has spoken against a loop; its like is not tried again at once."""
-        self._misfits.append((loop.keyframe, loop.alignment))
-        believed = loop.alignment.believed
-        return Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason, believed)
-
-    def _is_misfit(self, keyframe: int, alignment: Alignment) -> bool:
-        """Return True if a similarity is that of a loop that the corrected map has spoken against lately."""
-        self._misfits = [m for m in self._misfits if keyframe - m[0] < self.config.min_gap]
-        return any(agree(self.map, old, alignment, Agreement()) for _, old in self._misfits)
+        """What is told of a loop that is not closed."""
+        return Refusal(loop.keyframe, loop.loop_keyframe, len(loop.points), reason, loop.believed)
 
     def _consistent(self, keyframe: int) -> list[int]:
         """Candidates whose surroundings were candidates at the previous keyframes too."""
@@ -152,16 +145,14 @@ class LoopDetector:
         rows, points = self._extended(keyframe, alignment, S_cam_map, around)
         if len(points) < self.config.min_matches:
             return None
-        if self._is_misfit(keyframe, alignment):
-            return None
+        loop = Loop(keyframe, candidate, S_cam_map, rows, points)
         if self._beliefs is not None:
             supposed = suppose(self._supposed, m, m, alignment, Agreement(), self._beliefs)
-            if not supposed.is_believed(self._supposed):
-                if supposed.believed >= 0.5:  # more views may come
-                    return None
-                return Refusal(keyframe, candidate, len(points), DISBELIEVED, supposed.believed)
-            alignment = replace(alignment, believed=supposed.believed)
-        return Loop(keyframe, candidate, S_cam_map, rows, points, alignment), around
+            loop = replace(loop, supposed=supposed)
+            if not supposed.is_believed(self._supposed, hoping=True):
+                told_once = supposed.believed < 0.5 and len(supposed.alignments) == 1
+                return self.refused(loop, DISBELIEVED) if told_once else None
+        return loop, around
 
     def _surroundings(self, candidate: int) -> np.ndarray:
         """(q,) int32 points that the candidate and its neighbours see."""

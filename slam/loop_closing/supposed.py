@@ -20,6 +20,7 @@ from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
 from dslab.slam.tracking.reach import Reach
 
 _SAME_WAY_DEG = 45.0
+_NONE = np.empty(0, np.int32)
 _APART = Agreement(max_scale_change=0.2, max_rotation_deg=10.0, max_shift=0.3)
 """Beyond it two similarities are two places."""
 
@@ -79,11 +80,27 @@ class Supposed:
             ]
             self._look(keyframe, new, S_new_old, side)
 
-    def is_believed(self, others: Iterable["Supposed"] = ()) -> bool:
-        """Return True if the chance that the place is another one is small enough, others considered."""
+    def is_believed(self, others: Iterable["Supposed"] = (), hoping: bool = False) -> bool:
+        """Return True if the chance that the place is another one is small enough, others considered.
+
+        Args:
+            others: of which those that exclude it are rivals.
+            hoping: that the map fits, as far as it was not asked.
+        """
         rivals = [other.belief.log_odds for other in others if other is not self and _exclude(self, other)]
         self.believed = self.belief.chance(rivals)
-        return self.belief.is_beyond(self._config.alpha, rivals)
+        return self.belief.is_beyond(self._config.alpha, rivals, hoping)
+
+    def tear(self, new: Map, share: float) -> None:
+        """Take in which share of the map's observations the loop's correction tears."""
+        self.belief.tear(share)
+        newest = self.newest
+        supposed = self.old.map_id, *self._first
+        note(
+            self._kind, supposed, self.old, newest.old_keyframe,
+            new.T_cam_map(newest.new_keyframe) @ sim3_inverse(newest.S_old_new),
+            new.features(newest.new_keyframe), _NONE, self.belief.log_odds, lambda: self._unseen, torn=share,
+        )  # fmt: skip
 
     def _look(self, keyframe: int, new: Map, S_here_there: np.ndarray, there_side: list[int]) -> None:
         """Ask a keyframe for the points of the keyframes there; of joins these are of the old map."""

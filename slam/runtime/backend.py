@@ -22,7 +22,6 @@ from dslab.slam.core.timing import StageTimer
 from dslab.slam.loop_closing.correction import Loop, correct_loop
 from dslab.slam.loop_closing.detection import LoopDetector, Refusal
 from dslab.slam.loop_closing.global_adjustment import adjust_globally
-from dslab.slam.loop_closing.judgement import judge
 from dslab.slam.map.adjustment import MapAdjustment
 from dslab.slam.map.map import Map
 from dslab.slam.mapping.local_mapping import LocalMapper
@@ -309,24 +308,21 @@ class Backend:
     def _correct(
         self, before: Map, loop: Loop, around: np.ndarray, task: KeyframeTask, timer: StageTimer
     ) -> tuple[Map, np.ndarray, MapAdjustment | None] | str:
-        """Correct, adjust and judge a copy of the map: copy, scale changes and adjustment, or a reason."""
+        """Correct, ask and adjust a copy of the map: copy, scale changes and adjustment, or a reason."""
         if _changed(before, loop):
             return _changed(before, loop)
         config = task.detector.config
         with timer("correct"):
             corrected = before.copy()
             factor = correct_loop(corrected, loop, around, task.mapper.config)
-            bounds = config.judgement
-            reason = judge(before, corrected, loop).fault(bounds, adjusted=False) if bounds else ""
-        if reason:
-            return reason
+            believed = task.detector.is_believed(loop, before, corrected)
+        if not believed:
+            return "map_is_torn"
         if not config.adjustment_iterations:
             return corrected, factor, None
         with timer("adjust"):
             apart = self._news is not None
-            adjustment = adjust_globally(corrected, config.adjustment_iterations, apart)
-        reason = judge(before, corrected, loop, adjustment).fault(bounds, adjusted=True) if bounds else ""
-        return reason or (corrected, factor, adjustment)
+            return corrected, factor, adjust_globally(corrected, config.adjustment_iterations, apart)
 
     def _copy_of(self, map_: Map) -> Map:
         with self.lock:

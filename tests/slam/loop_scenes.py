@@ -8,7 +8,6 @@ from slam_scenes import CAMERA, VIEW
 
 from dslab.slam.core.frame import Features, Frame, FrameFeatures
 from dslab.slam.loop_closing.correction import Loop
-from dslab.slam.loop_closing.map_alignment import Alignment
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
 from dslab.slam.optimization.sim3_algebra import exp_sim3, invert_sim3
@@ -70,14 +69,7 @@ def _ring(keyframes, overlap, points=3000, drift=(0.0, 0.0, 0.002, 0.01, 0.0, 0.
     again = np.flatnonzero(np.isin(all_ids[k], list(early)) & (all_ids[k] >= 0))
     S_k = T_cam_world[k] @ invert_sim3(D[q][None])[0]
     S_k = _in_units_of(S_k, D[k])
-    loop = Loop(
-        k,
-        q,
-        S_k,
-        again,
-        np.array([early[int(i)] for i in all_ids[k][again]], np.int32),
-        alignment=Alignment(np.eye(4), 1.0, 0, 0, 0, np.zeros(0, np.int32), np.zeros(0, np.int32)),
-    )
+    loop = Loop(k, q, S_k, again, np.array([early[int(i)] for i in all_ids[k][again]], np.int32))
     return Ring(built, T_cam_world, xyz, all_ids, loop, np.array(sorted(early.values()), np.int32))
 
 

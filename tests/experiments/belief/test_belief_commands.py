@@ -1,6 +1,7 @@
 """``dslab belief``: logs in, parameters, a table and a plot out; what is wrong is one line."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,8 +14,13 @@ from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE, write_hypot
 from dslab.experiments.evaluation.metrics import Truth
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.log import LoggedView
-from dslab.slam.belief.model import Unseen
+from dslab.slam.belief.model import Sight, Unseen
 from dslab.slam.core.relation import PlacedFrames, Relation
+
+
+def nothing():
+    """What is shown where nothing was looked at."""
+    return Sight(*np.empty((len(Sight._fields) - 1, 0)), np.zeros(3))
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +45,7 @@ def batch(tmp_path_factory):
                     "join", (0, 45 + i, 0), supposed, seen(rng, float(not false)), "x" * false, Unseen(3.0)
                 )
             )
+    views.append(replace(views[-1], sight=nothing(), torn=0.25))
     run = folder / "runs" / "drive-1" / "dual" / "000"
     run.mkdir(parents=True)
     write_hypotheses(run, views, Truth(np.arange(n) / 10, T))
@@ -58,12 +65,14 @@ def test_what_is_fitted_is_judged_and_drawn(dslab, batch, tmp_path):
 def test_collected_logs_are_read_as_their_batch_is(dslab, batch, tmp_path):
     file = tmp_path / "logs.parquet"
     code, said, _ = dslab("belief", "collect", batch, "--out", file, "--views", "1", "--right-joins", "5")
-    assert code == 0 and "25 hypotheses with 25 views" in said
+    assert code == 0 and "25 hypotheses with 26 rows" in said
     own = {one.run: 0 for one in read_logs([file])}
     assert list(own) == [f"{batch.name}/runs/drive-1/dual/000"]
     whole, thin = read_logs([batch]), read_logs([file])
     assert sum(one.false for one in thin) == sum(one.false for one in whole) == 20
     assert np.allclose(thin[0].sights[0].shown, whole[0].sights[0].shown, rtol=0.06, atol=1e-3)
+    for logs in (whole, thin):  # what was torn is no view
+        assert [one.torn for one in logs if np.isfinite(one.torn)] == [0.25] and len(logs[-1].sights) < 3
     other = tmp_path / "other.parquet"
     other.write_text("no table")
     code, _, error = dslab("belief", "collect", other, "--out", file)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from belief_scenes import seen
 
-from dslab.experiments.belief.fit import fit
+from dslab.experiments.belief.fit import fit, fit_torn
 from dslab.experiments.belief.judge import beliefs, judge
 from dslab.experiments.belief.logs import Asked
 from dslab.slam.belief.model import Parameters, Unseen
@@ -36,3 +36,16 @@ def test_parameters_are_found_again_and_with_them_beliefs_are_as_often_right_as_
     exact = replace(TRUE, doubles=1 / np.log(2))
     by = [judge(beliefs(others, p), false) for p in (found, exact)]
     assert 0.7 < by[0].slope < 1.4 and by[0].loss < by[1].loss + 0.03
+
+
+def test_what_loops_tear_is_found_again_and_without_a_loop_nothing_is():
+    rng = np.random.default_rng(0)
+    given = replace(TRUE, torn_here=(0.7, 30.0), torn_elsewhere=(2.0, 6.0))
+    torn = np.append(rng.beta(*given.torn_here, 200), rng.beta(*given.torn_elsewhere, 200))
+    asked = [Asked(str(i), "loop", i >= 200, MOTION, (), share) for i, share in enumerate(torn)]
+    found = fit_torn(asked, TRUE)
+    assert found.torn_here == pytest.approx(given.torn_here, rel=0.3)
+    assert found.torn_elsewhere == pytest.approx(given.torn_elsewhere, rel=0.3)
+    assert fit_torn([], TRUE).torn_here == pytest.approx(TRUE.torn_here, rel=1e-3)
+    false = np.array([one.false for one in asked])
+    assert judge(beliefs(asked, found), false).loss < judge(beliefs(asked, TRUE), false).loss

@@ -17,7 +17,6 @@ from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.fusion import fuse
 from dslab.slam.dual.recovery.registry import ThreadSpec
 from dslab.slam.loop_closing.detection import LoopClosingConfig, LoopDetector
-from dslab.slam.loop_closing.judgement import JudgementConfig
 from dslab.slam.map.relation import loop_relation
 from dslab.slam.runtime.backend import KeyframeTask
 from dslab.slam.system import MonocularSlam
@@ -102,8 +101,7 @@ class Tampered(LoopDetector):
     """Finds the true loop, and asserts it aside by a share of the map's unit."""
 
     def __init__(self, found, share):
-        accepting_all = JudgementConfig(max_stretched=1.0, max_lost=1.0, max_rise=np.inf, min_ties=0.0)
-        self.config = LoopClosingConfig(adjustment_iterations=1, judgement=accepting_all)
+        self.config = LoopClosingConfig(adjustment_iterations=1)
         self._found, self._share = found, share
 
     def detect(self, keyframe, rng):

@@ -7,7 +7,8 @@ import pytest
 from belief_scenes import GIVEN, seen
 from scipy.optimize import minimize_scalar
 
-from dslab.slam.belief.model import Sight, Unseen, evidence, prior
+from dslab.slam.belief.belief import Belief
+from dslab.slam.belief.model import WRONG_MAPS, Sight, Unseen, evidence, of_torn, prior
 
 
 def slope(odds, here):
@@ -70,6 +71,24 @@ def test_a_loop_is_where_the_path_says_but_for_its_drift():
     odds = [prior(Unseen(20.0, 10.0, away), GIVEN, "loop") for away in (0.0, 0.5, 5.0)]
     assert odds[0] == pytest.approx(-np.log(GIVEN.of_loops))
     assert odds[0] - odds[1] == pytest.approx(1.5 * np.log(2)) and 6 < odds[0] - odds[2] < 8
+
+
+def test_what_a_loop_tears_is_as_telling_as_it_says_and_a_map_that_was_not_asked_may_still_hold_it():
+    rng, shares = np.random.default_rng(0), (GIVEN.torn_here, GIVEN.torn_elsewhere)
+    both = np.array([rng.beta(*exponents, 4000) for exponents in shares])
+    bent = rng.random(4000) < WRONG_MAPS
+    torn = np.where((np.arange(4000) >= 2000) != bent, both[1], both[0])
+    odds = np.array([of_torn(share, GIVEN) for share in torn])
+    assert slope(odds, np.arange(4000) < 2000) == pytest.approx(1.0, abs=0.1)
+    loop = Belief("loop", Unseen(20.0, 10.0, 2.0), parameters=GIVEN)
+    loop.add(seen(rng, 1.0))
+    alpha = 1 / (1 + np.exp(loop.log_odds + 1.0))
+    assert loop.is_beyond(alpha, hoping=True) and not loop.is_beyond(alpha)
+    before = loop.log_odds
+    loop.tear(0.5)
+    assert not loop.is_beyond(alpha, hoping=True) and loop.log_odds < before - 2
+    loop.tear(0.0)
+    assert loop.is_beyond(alpha) and loop.log_odds > before + 1
 
 
 def test_a_view_without_points_says_nothing():

@@ -89,6 +89,19 @@ def _error(r):
     return np.sqrt(((s * estimate @ R.T + t - truth) ** 2).sum(1).mean())
 
 
+def test_a_loop_is_asked_of_the_corrected_map_and_one_that_tears_it_is_not_corrected_again():
+    r = ring(keyframes=60, overlap=6)
+    d = detector(r, {k: [same_place(r, k)] for k in range(60, 66)})
+    loop, _ = next(
+        found for found, _ in (d.detect(k, np.random.default_rng(0)) for k in range(60, 66)) if found
+    )
+    corrected = r.map.copy()
+    assert not loop.supposed.is_believed() and d.is_believed(loop, r.map, corrected) and loop.believed > 0.99
+    corrected.arrays.kf_T_cam_map[20:40, 0, 3] += 1.0
+    assert not d.is_believed(loop, r.map, corrected) and loop.believed < 0.9
+    assert d.detect(loop.keyframe + 1, np.random.default_rng(0))[0] is None
+
+
 def test_a_candidate_elsewhere_is_refused(drifted):
     d = detector(drifted, {k: [30] for k in range(60, 66)})
     assert not any(run(d, range(60, 66)).values())

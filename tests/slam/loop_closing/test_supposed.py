@@ -7,6 +7,7 @@ import pytest
 from slam_scenes import PointWorld, rigid, walk
 
 from dslab.slam.belief.config import BeliefConfig
+from dslab.slam.belief.log import logged
 from dslab.slam.loop_closing.map_alignment import Sim3AlignmentConfig, align
 from dslab.slam.loop_closing.supposed import Supposed
 from dslab.slam.optimization.sim3 import sim3_matrix
@@ -116,3 +117,14 @@ def test_places_of_two_maps_are_rivals_if_the_camera_cannot_have_come_from_one_t
     there = supposed(other, new, alignment=replace(found(old, new), old_map_id=7))
     other.transform(1.0, np.eye(3), np.array([metres, 0.0, 0.0]))
     assert one.is_believed([there]) is not excluded
+
+
+def test_what_a_correction_tears_is_logged_as_no_view():
+    old, new = maps()
+    with logged() as rows:
+        place = supposed(old, new)
+        views = len(rows)
+        place.tear(new, 0.3)
+    asked = rows[-1]
+    assert len(rows) == views + 1 and asked.torn == 0.3 and not asked.proposes and not len(asked.sight.point)
+    assert asked.hypothesis == rows[0].hypothesis and asked.log_odds == place.belief.log_odds
