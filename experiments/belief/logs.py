@@ -128,7 +128,7 @@ def _tables(place: Path) -> Iterator[tuple[pd.DataFrame, str]]:
     for file in files:
         table = pd.read_parquet(file)
         asked_of_wrong_map = ~_is_view(table) & (table["frame"].to_numpy() > _first_false(file.parent))
-        yield table[~asked_of_wrong_map], str(file.parent.relative_to(place.parent))
+        yield table.iloc[np.flatnonzero(~asked_of_wrong_map)], str(file.parent.relative_to(place.parent))
 
 
 def _first_false(run: Path) -> float:
