@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.special import betaln, expit, logit
+from scipy.special import expit, logit
 
 from dslab.experiments.belief.logs import Asked
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.ledger import Ledger
 from dslab.slam.belief.model import (
-    LEAST_TORN,
     SHARES,
     Parameters,
     Sight,
     evidence,
+    log_density_of_torn,
     over_parts,
     prior,
 )
@@ -111,11 +111,10 @@ def fit_torn(asked: Sequence[Asked], parameters: Parameters) -> Parameters:
 
 def _beta(shares: Sequence[float], before: tuple[float, float]) -> tuple[float, float]:
     """Exponents of the likeliest Beta distribution, known to a factor of e before."""
-    x = np.clip(shares, LEAST_TORN, 1 - LEAST_TORN)
 
     def loss(y: np.ndarray) -> float:
-        a, b = np.exp(y)
-        told = (a - 1) * np.log(x).sum() + (b - 1) * np.log1p(-x).sum() - len(x) * betaln(a, b)
+        a, b = map(float, np.exp(y))
+        told = log_density_of_torn(np.array(shares), (a, b)).sum()
         return float(0.5 * ((y - np.log(before)) ** 2).sum() - told)
 
     a, b = np.exp(minimize(loss, np.log(before), method="Nelder-Mead").x)

@@ -66,7 +66,7 @@ _APART = 0.2
 """Median depths within which two positions are one place."""
 _LEAST = 0.1
 """Of r: a camera that stays may have turned, and sees what it has not seen."""
-LEAST_TORN = 1e-3
+_LEAST_TORN = 1e-3
 """Share of observations: less is told as this is."""
 WRONG_MAPS = 0.05
 """Share of maps that something false has bent already: one of 39 at α = .01, more where more is asked."""
@@ -262,12 +262,17 @@ def come(unseen: Unseen) -> float:
     return max(-_TAIL * float(np.log(beyond)), float(_CUT)) if beyond > 1.0 else 0.0
 
 
+def log_density_of_torn(shares: float | np.ndarray, exponents: tuple[float, float]) -> np.ndarray:
+    """(n,) logarithms of the Beta density of shares (n,)."""
+    x, (a, b) = np.clip(shares, _LEAST_TORN, 1 - _LEAST_TORN), exponents
+    return np.asarray((a - 1) * np.log(x) + (b - 1) * np.log1p(-x) - betaln(a, b))
+
+
 def of_torn(share: float, parameters: Parameters) -> float:
     """Logarithm of how much likelier a right loop's correction tears a share than a wrong one's."""
-    x = np.clip(share, LEAST_TORN, 1 - LEAST_TORN)
     here, elsewhere = (
-        (a - 1) * np.log(x) + (b - 1) * np.log1p(-x) - betaln(a, b)
-        for a, b in (parameters.torn_here, parameters.torn_elsewhere)
+        float(log_density_of_torn(share, exponents))
+        for exponents in (parameters.torn_here, parameters.torn_elsewhere)
     )
     sound, wrong = np.log1p(-WRONG_MAPS), np.log(WRONG_MAPS)
     return float(

@@ -1,6 +1,7 @@
 """``dslab belief``: logs in, parameters, a table and a plot out; what is wrong is one line."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from dslab.experiments.belief.fit import fit
 from dslab.experiments.belief.logs import read_logs
 from dslab.experiments.evaluation.hypotheses import HYPOTHESES_FILE, write_hypotheses
 from dslab.experiments.evaluation.metrics import Truth
+from dslab.experiments.result_folder import SUMMARY_FILE
 from dslab.scenarios.errors import InputError
 from dslab.slam.belief.log import LoggedView
 from dslab.slam.belief.model import Sight, Unseen
@@ -77,6 +79,20 @@ def test_collected_logs_are_read_as_their_batch_is(dslab, batch, tmp_path):
     other.write_text("no table")
     code, _, error = dslab("belief", "collect", other, "--out", file)
     assert code == 2 and "no table of hypotheses" in error
+
+
+def test_what_a_loop_tears_of_a_map_that_is_wrong_already_is_left_out(batch, tmp_path):
+    run = tmp_path / "runs" / "drive-1" / "dual" / "000"
+    shutil.copytree(next(batch.glob("runs/*/*/*")), run)
+    for frame, left in ((60, [0.25]), (40, [])):
+        declared = {
+            "loops": [],
+            "joins": [{"frame": frame, "false": True}],
+            "fusions": [],
+            "relocalizations": [],
+        }
+        (run / SUMMARY_FILE).write_text(json.dumps({"audit": declared}))
+        assert [one.torn for one in read_logs([tmp_path]) if np.isfinite(one.torn)] == left
 
 
 @pytest.mark.parametrize(
