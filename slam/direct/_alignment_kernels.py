@@ -18,6 +18,8 @@ PATTERN = np.array(
 )  # (8, 2) right, down
 _ONE = np.uint64(1)
 _BLOCK = 256  # pixels projected at once
+_DEVIATIONS, _TO_SIGMA = 3.0, 1.4826
+_OFF_PX = 0.5
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -113,6 +115,47 @@ def residual_energy(level, camera, uv, inverse_depth, pattern, intensity, weight
                 seen += 1
                 saturated += 1
     return energy, seen, saturated
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def residual_bound(level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, least):
+    """Residual beyond which a pixel shows another surface: three deviations, and at least ``least``.
+
+    The deviation is 1.4826 times the median size, as of normal residuals, but not less than what an alignment
+    leaves that is off by half a pixel in each direction, as one on a coarser level is: half of the root mean
+    square gradient.
+    """
+    right, bottom = level.shape[1] - 1.0, level.shape[0] - 1.0
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    gain, offset = np.exp(affine[0]), affine[1]
+    count = pattern.shape[0]
+    points = _BLOCK // count
+    seen_x, seen_y, depth = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
+    sizes, n, steep = np.empty(uv.shape[0] * count), 0, 0.0
+    for i in range(uv.shape[0]):
+        start = i % points
+        if start == 0:
+            last = min(i + points, uv.shape[0])
+            _project(camera, uv, inverse_depth, pattern, T, fx, fy, i, last, seen_x, seen_y, depth)
+        for k in range(count):
+            at = count * start + k
+            if weight[i, k] <= 0.0 or depth[at] <= 1e-6:
+                continue
+            u, v = seen_x[at] + cx, seen_y[at] + cy
+            if not (0.0 <= u < right and 0.0 <= v < bottom):
+                continue
+            size = abs(_bilinear(level, u, v, 0) - gain * intensity[i, k] - offset)
+            if size >= 0.0:  # not NaN
+                sizes[n] = size
+                n += 1
+                x, y = np.int64(u + 0.5), np.int64(v + 0.5)
+                gx, gy = level[y, x, 1], level[y, x, 2]
+                if gx * gx + gy * gy >= 0.0:
+                    steep += gx * gx + gy * gy
+    if n == 0:
+        return least
+    off = _OFF_PX * np.sqrt(steep / n)
+    return max(least, _DEVIATIONS * max(_TO_SIGMA * np.median(sizes[:n]), off))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,7 +1,6 @@
 """Window of keyframes: their images, poses, brightness, points, and what is left of those that went.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.1.
-Where it says less, the bounds of outliers follow the authors' public code.
 """
 
 from collections.abc import Iterator
@@ -20,6 +19,8 @@ from dslab.slam.optimization._se3 import retract
 
 PARAMETERS = 8  # of a keyframe: translation, rotation, a, b
 _FIRST_OUTLIER = 8.0  # residual, of 255, beyond which the first keyframe's patterns are outliers
+_DEVIATIONS = 3.0  # of patterns from the usual one, beyond which they are another surface's
+_TO_SIGMA = 1.4826  # of a normal distribution, by its median absolute deviation
 
 
 @dataclass(eq=False)
@@ -76,7 +77,6 @@ class Window:
         delta: (S, 8) step from the first estimates.
         outlier: (S,) cost of a pattern beyond which it is not that surface.
         active, immature: points.
-        gone: (S,) number of points of each keyframe that were marginalised or dropped.
         prior_H, prior_b: (8 S, 8 S) and (8 S,) what marginalised keyframes and points say, about the first
             estimates.
     """
@@ -95,7 +95,6 @@ class Window:
         self.expected = np.zeros((size, 2))
         self.delta = np.zeros((size, PARAMETERS))
         self.outlier = np.zeros(size)
-        self.gone = np.zeros(size, int)
         self.active = Active.none(size)
         self.immature = Immature.none()
         self.prior_H = np.zeros((PARAMETERS * size, PARAMETERS * size))
@@ -132,7 +131,7 @@ class Window:
         self.T_cam_map[slot] = self.T_first[slot] = keyframe.T_cam_map
         self.affine[slot] = self.affine_first[slot] = affine
         self.expected[slot, 0] = keyframe.exposure
-        self.delta[slot], self.gone[slot] = 0.0, 0
+        self.delta[slot] = 0.0
         self.outlier[slot] = 8 * _FIRST_OUTLIER**2 if outlier is None else outlier
         self.active.seen[:, slot] = 1
         return slot
@@ -195,7 +194,6 @@ class Window:
 
     def drop_points(self, rows: np.ndarray) -> None:
         """Drop active points (mask)."""
-        np.add.at(self.gone, self.active.host[rows], 1)
         self.active = self.active.of(~rows)
 
     def map_points(self) -> np.ndarray:
@@ -223,3 +221,14 @@ class Window:
         X, d = X[ahead], d[ahead]
         uv = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
         return uv, d / X[:, 2], p.information[rows][ahead]
+
+
+def bound_of(energy: np.ndarray) -> float:
+    """Cost of a pattern beyond which it is not that surface, by what most of a keyframe's patterns cost.
+
+    Args:
+        energy: (N,) costs of the patterns of one keyframe.
+    """
+    root = np.sqrt(energy)
+    usual = np.median(root)
+    return float((usual + _DEVIATIONS * _TO_SIGMA * np.median(np.abs(root - usual))) ** 2)

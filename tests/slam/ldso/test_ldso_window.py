@@ -8,6 +8,7 @@ from dslab.slam.direct._alignment_kernels import PATTERN
 from dslab.slam.ldso.adjustment import adjust, gauge
 from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_points, without
 from dslab.slam.ldso.model import model_of
+from dslab.slam.ldso.window import bound_of
 
 PHOTOMETRIC = CONFIG.photometric
 
@@ -221,13 +222,30 @@ def test_a_marginalised_keyframe_holds_the_others_where_they_were():
         assert np.abs(window.T_cam_map[s] - there[s]).max() < 2e-3
 
 
-def test_a_keyframe_without_points_leaves_first():
+def test_the_paper_says_which_keyframe_leaves():
+    """One whose points are out of view, else the one of the largest distance score, the newest two never."""
     window = window_of([motion([0.03 * k, 0, 0, 0, 0, 0]) for k in range(7)], 350)
     new = motion([0.3, 0, 0, 0, 0, 0])
-    out = leaving(window, new, np.zeros(2))
-    assert len(out) == 1 and out[0] != window.newest
+    (out,) = leaving(window, new)
+    centres = [-window.T_cam_map[s][:3, 3] for s in window.slots]
+    at = -new[:3, 3]
+
+    def score(i):
+        others = [np.linalg.norm(centres[i] - c) for k, c in enumerate(centres) if k != i]
+        return np.sqrt(np.linalg.norm(centres[i] - at)) * sum(1 / d for d in others)
+
+    assert out == window.slots[max(range(6), key=score)]
     few = window.slots[2]
-    rows = window.active.host == few
-    window.drop_points(rows)
-    assert leaving(window, new, np.zeros(2)) == [few]
-    assert leaving(window, new, np.array([1.5, 0.0]))[0] == window.slots[0]
+    window.drop_points(window.active.host == few)
+    assert leaving(window, new) == [few]
+    behind = motion([0, 0, 0, 0, np.pi, 0])
+    assert leaving(window, behind)[:2] == window.slots[:2]
+    assert not set(leaving(window, behind)) & set(window.slots[-1:])
+
+
+def test_the_bound_of_outliers_holds_most_patterns_whatever_share_is_another_surface():
+    rng = np.random.default_rng(3)
+    good = 4.0 * rng.chisquare(8, 1000)
+    for share in (0, 100, 400):
+        bound = bound_of(np.concatenate([good, rng.uniform(2000, 20000, share)]))
+        assert (good <= bound).mean() > 0.97 and bound < 600
