@@ -18,6 +18,9 @@ PATTERN = np.array(
 )  # (8, 2) right, down
 _ONE = np.uint64(1)
 _BLOCK = 256  # pixels projected at once
+_DEVIATIONS, _TO_SIGMA = 3.0, 1.4826
+_OFF_PX = 0.5
+_ENOUGH = 2000  # pixels, for a median
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -29,6 +32,30 @@ def _bilinear(level, u, v, channel):
     right, below = left + _ONE, top + _ONE
     return (1.0 - fy) * ((1.0 - fx) * level[top, left, channel] + fx * level[top, right, channel]) + fy * (
         (1.0 - fx) * level[below, left, channel] + fx * level[below, right, channel]
+    )
+
+
+@njit(inline="always")
+def _bilinear_all(level, u, v):
+    """Intensity and both gradients of a level at a place."""
+    x, y = np.int32(u), np.int32(v)
+    fx, fy = u - x, v - y
+    left, top = np.uint64(x), np.uint64(y)
+    right, below = left + _ONE, top + _ONE
+    a, b, c, d = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+    return (
+        a * level[top, left, 0]
+        + b * level[top, right, 0]
+        + c * level[below, left, 0]
+        + d * level[below, right, 0],
+        a * level[top, left, 1]
+        + b * level[top, right, 1]
+        + c * level[below, left, 1]
+        + d * level[below, right, 1],
+        a * level[top, left, 2]
+        + b * level[top, right, 2]
+        + c * level[below, left, 2]
+        + d * level[below, right, 2],
     )
 
 
@@ -113,6 +140,44 @@ def residual_energy(level, camera, uv, inverse_depth, pattern, intensity, weight
                 seen += 1
                 saturated += 1
     return energy, seen, saturated
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def residual_bound(level, camera, uv, inverse_depth, pattern, intensity, weight, T, affine, least):
+    """Residual beyond which a pixel shows another surface: three deviations, and at least ``least``.
+
+    The deviation is 1.4826 times the median size, as of normal residuals, but not less than what an alignment
+    leaves that is off by half a pixel in each direction, as one on a coarser level is: half of the root mean
+    square gradient.
+    """
+    right, bottom = level.shape[1] - 1.0, level.shape[0] - 1.0
+    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
+    gain, offset = np.exp(affine[0]), affine[1]
+    count = pattern.shape[0]
+    stride = 1 + uv.shape[0] * count // _ENOUGH
+    sizes, n, steep = np.empty(uv.shape[0] * count), 0, 0.0
+    for i in range(0, uv.shape[0], stride):
+        for k in range(count):
+            if weight[i, k] <= 0.0:
+                continue
+            x, y = (uv[i, 0] + pattern[k, 0] - cx) / fx, (uv[i, 1] + pattern[k, 1] - cy) / fy
+            z = T[2, 0] * x + T[2, 1] * y + T[2, 2] + T[2, 3] * inverse_depth[i]
+            if not z > 1e-6:
+                continue
+            u = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] + T[0, 3] * inverse_depth[i]) / z + cx
+            v = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] + T[1, 3] * inverse_depth[i]) / z + cy
+            if not (0.0 <= u < right and 0.0 <= v < bottom):
+                continue
+            there, gx, gy = _bilinear_all(level, u, v)
+            size = abs(there - gain * intensity[i, k] - offset)
+            if size >= 0.0:  # not NaN
+                sizes[n] = size
+                n += 1
+                steep += gx * gx + gy * gy if gx * gx + gy * gy >= 0.0 else 0.0
+    if n == 0:
+        return least
+    off = _OFF_PX * np.sqrt(steep / n)
+    return max(least, _DEVIATIONS * max(_TO_SIGMA * np.median(sizes[:n]), off))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,7 +1,4 @@
-"""Kernels of the selection of points.
-
-They follow the public code of the authors of "Direct Sparse Odometry" step by step.
-"""
+"""Kernels of the selection of points."""
 
 import numpy as np
 from numba import njit
@@ -20,92 +17,64 @@ def squared_gradients(level):
 
 
 @njit(cache=True, nogil=True)
-def thresholds(squares, region, beyond):
-    """(rows, columns) float32 gradient that stands out in each region: its median plus ``beyond``, and the
-    mean of this over the regions around; squared.
+def region_medians(squares, region):
+    """(rows, columns) float32 median gradient of every region, to 1/8 of a grey level per px and 32 at most;
+    what is left over belongs to the last ones.
     """
     height, width = squares.shape
     rows, columns = max(1, height // region), max(1, width // region)
-    raw = np.empty((rows, columns), np.float64)
-    for r in range(rows):
-        for c in range(columns):
-            # The last regions take what is left over.
-            bottom = height if r == rows - 1 else (r + 1) * region
-            right = width if c == columns - 1 else (c + 1) * region
-            raw[r, c] = _median_gradient(squares, r * region, bottom, c * region, right) + beyond
+    counts = np.zeros((rows, columns, 257), np.int32)
+    for y in range(height):
+        r = min(y // region, rows - 1)
+        for x in range(width):
+            counts[r, min(x // region, columns - 1), int(min(8.0 * np.sqrt(squares[y, x]), 256.0))] += 1
     out = np.empty((rows, columns), np.float32)
     for r in range(rows):
         for c in range(columns):
-            total, count = 0.0, 0
-            for i in range(max(0, r - 1), min(rows, r + 2)):
-                for j in range(max(0, c - 1), min(columns, c + 2)):
-                    total += raw[i, j]
-                    count += 1
-            out[r, c] = (total / count) ** 2
+            half, step = counts[r, c].sum() // 2, 0
+            seen = counts[r, c, 0]
+            while seen <= half:
+                step += 1
+                seen += counts[r, c, step]
+            out[r, c] = (step + 0.5) / 8.0 if step else 0.0
     return out
 
 
 @njit(cache=True, nogil=True)
-def _median_gradient(squares, top, bottom, left, right):
-    """Median gradient of a region, rounded down to whole steps of intensity."""
-    counts = np.zeros(256, np.int64)
-    for y in range(top, bottom):
-        for x in range(left, right):
-            counts[min(255, int(np.sqrt(squares[y, x])))] += 1
-    half = (bottom - top) * (right - left) // 2
-    seen = 0
-    for step in range(256):
-        seen += counts[step]
-        if seen > half:
-            return step
-    return 255
+def strongest(squares, level, bounds, factor, block, margin, taken, xy):
+    """Write the pixel of largest gradient of every block without a point, if it stands out.
 
-
-@njit(cache=True, nogil=True)
-def select_in_blocks(fine, middle, coarse, bounds, region, block, margin, coarser):
-    """Per block the pixel of largest gradient that stands out; where there is none in four of them, the one
-    of the middle level, and in sixteen, of the coarse level.
+    Args:
+        squares: (H, W) squared gradients of a level.
+        level: which one; its pixels are 2^level of the finest one's wide.
+        bounds: (H0, W0) float32 squared gradient beyond which a pixel of the finest level stands out.
+        factor: of the bounds on this level.
+        block: side of a block, pixels of the finest level.
+        margin: border without points, likewise.
+        taken: (rows, columns) bool of the blocks: they have a point; changed.
+        xy: (M, 2) int32 pixels of the finest level, written.
 
     Returns:
-        (N, 2) int32 pixels of the finest level, (N,) int32 levels.
+        Number of pixels chosen.
     """
-    height, width = fine.shape
-    rows, columns = bounds.shape
-    column_of = np.minimum(np.arange(width) // region, columns - 1)
-    across, down = (width + 4 * block - 1) // (4 * block), (height + 4 * block - 1) // (4 * block)
-    xy = np.empty((16 * across * down, 2), np.int32)
-    scale = np.empty(16 * across * down, np.int32)
+    height, width = bounds.shape
     n = 0
-    for large in range(across * down):
-        y4, x4 = large // across * 4 * block, large % across * 4 * block
-        best4, at4_x, at4_y, first = 0.0, -1, -1, n
-        for medium in range(4):
-            y2, x2 = y4 + medium // 2 * 2 * block, x4 + medium % 2 * 2 * block
-            best2, at2_x, at2_y, before = 0.0, -1, -1, n
-            for small in range(4):
-                y1, x1 = y2 + small // 2 * block, x2 + small % 2 * block
-                best1, at1_x, at1_y = 0.0, -1, -1
-                for y in range(max(y1, margin), min(y1 + block, height - margin)):
-                    row = min(y // region, rows - 1)
-                    for x in range(max(x1, margin), min(x1 + block, width - margin)):
-                        bound = bounds[row, column_of[x]]
-                        if fine[y, x] > max(bound, best1):
-                            best1, at1_x, at1_y = fine[y, x], x, y
-                        if y // 2 < middle.shape[0] and x // 2 < middle.shape[1]:
-                            bound *= coarser * coarser
-                            if middle[y // 2, x // 2] > max(bound, best2):
-                                best2, at2_x, at2_y = middle[y // 2, x // 2], x, y
-                        if y // 4 < coarse.shape[0] and x // 4 < coarse.shape[1]:
-                            bound *= coarser * coarser
-                            if coarse[y // 4, x // 4] > max(bound, best4):
-                                best4, at4_x, at4_y = coarse[y // 4, x // 4], x, y
-                if at1_x >= 0:
-                    xy[n, 0], xy[n, 1], scale[n] = at1_x, at1_y, 0
-                    n += 1
-            if n == before and at2_x >= 0:
-                xy[n, 0], xy[n, 1], scale[n] = at2_x, at2_y, 1
+    for r in range(taken.shape[0]):
+        for c in range(taken.shape[1]):
+            if taken[r, c]:
+                continue
+            top, left = r * block, c * block
+            bottom, right = min(top + block, height), min(left + block, width)
+            best, at_x, at_y = 0.0, -1, -1
+            first_v, first_u = -(-max(top, margin) >> level), -(-max(left, margin) >> level)
+            last_v = min((min(bottom, height - margin) - 1) >> level, squares.shape[0] - 1)
+            last_u = min((min(right, width - margin) - 1) >> level, squares.shape[1] - 1)
+            for v in range(first_v, last_v + 1):
+                for u in range(first_u, last_u + 1):
+                    if squares[v, u] > best and squares[v, u] > factor * bounds[v << level, u << level]:
+                        best, at_x, at_y = squares[v, u], u << level, v << level
+            if at_x >= 0:
+                xy[n, 0], xy[n, 1] = at_x, at_y
+                taken[r, c] = True
                 n += 1
-        if n == first and at4_x >= 0:
-            xy[n, 0], xy[n, 1], scale[n] = at4_x, at4_y, 2
-            n += 1
-    return xy[:n].copy(), scale[:n].copy()
+    return n

@@ -1,7 +1,6 @@
 """Photometric alignment: the motion between two views under which pixels of known depth look alike.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018.
-Where it says less, the cutoffs follow the authors' public code.
 """
 
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from dslab.slam.direct._alignment_kernels import (
     likeness,
     mean_cost_model,
     mean_costs,
+    residual_bound,
     residual_energy,
     sample_patterns,
 )
@@ -36,6 +36,7 @@ _LEAST_CONTRAST = 0.5
 _LARGE_GAIN = 0.3  # as a logarithm
 _LARGE_OFFSET = 30.0
 _STILL_PX = 0.02  # a smaller step is none
+_MOST_RESIDUAL = 255.0
 
 
 @settings
@@ -46,9 +47,7 @@ class PhotometricAlignmentConfig:
     gradient_scale: float = setting(
         50.0, "gradient at which a residual counts half", unit="grey levels per px", gt=0
     )
-    cutoff: float = setting(20.0, "residual counted at most, doubled while too many are", unit=GREY, gt=0)
-    most_saturated: float = setting(0.6, "share of residuals beyond the cutoff that is too many", le=1)
-    most_cutoff_factor: float = setting(8.0, "largest factor of the cutoff", ge=1)
+    cutoff: float = setting(20.0, "residual beyond which a pixel shows something else", unit=GREY, gt=0)
     iterations: int = setting(12, "most steps on a level")
     gain_sigma: float = setting(0.3, "expected logarithm of the gain between two images", gt=0)
     offset_sigma: float = setting(20.0, "expected offset of brightness between two images", unit=GREY, gt=0)
@@ -291,7 +290,8 @@ class _State:
     def refine(self, reference: Reference, target: ImagePyramid, level: int) -> None:
         """Levenberg steps on one level."""
         config, views = reference.config, _Level.of(reference, target, level)
-        costs = (config.huber, self._cutoff(reference, views), config.affine_prior)
+        cutoff = residual_bound(*views, self.T, self.affine, config.huber)
+        costs = (config.huber, cutoff, config.affine_prior)
         least = reference.levels[level].least_pixels
         scale = np.append(np.full(3, reference.depth), np.ones(5))  # steps of position are in depths
         still = _STILL_PX / reference.intrinsics[level][0]
@@ -304,17 +304,6 @@ class _State:
             solution = np.linalg.solve(*system)
             if advance(*views, *there, solution, *costs, least, scale, *bounds, *results):
                 break
-
-    def _cutoff(self, reference: Reference, views: _Level) -> float:
-        """The cutoff, doubled while too many residuals are beyond it."""
-        config = reference.config
-        cutoff = config.cutoff
-        while cutoff < config.cutoff * config.most_cutoff_factor:
-            _, seen, saturated = residual_energy(*views, self.T, self.affine, config.huber, cutoff)
-            if saturated <= config.most_saturated * seen:
-                break
-            cutoff *= 2.0
-        return cutoff
 
     def result(self, reference: Reference, target: ImagePyramid, level: int) -> Aligned:
         config, patterns = reference.config, reference.levels[level]
@@ -346,7 +335,7 @@ def _best(
         np.array([state.T for state in states]).reshape(-1, 4, 4),
         np.array([state.affine for state in states]).reshape(-1, 2),
         config.huber,
-        config.cutoff * config.most_cutoff_factor,
+        _MOST_RESIDUAL,
         config.affine_prior,
         reference.levels[level].least_pixels,
     )

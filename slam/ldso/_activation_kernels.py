@@ -1,64 +1,32 @@
-"""Kernels of activation: which points are spread best, and their inverse depths over all keyframes.
-
-Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.2.
-Where it says less, ``refine_depths`` follows the authors' public code step by step.
-"""
+"""Kernels of activation: which points are apart, and their inverse depths over all keyframes."""
 
 import numpy as np
 from numba import njit
 
 from dslab.slam.direct._alignment_kernels import _bilinear
+from dslab.slam.optimization._cholesky import whole_rows
+from dslab.slam.optimization.least_squares import accept_trial, damped_step, is_known, minimise
 
-_DAMPING = 0.1
-_MOST_DAMPING = 1e3
+_STEPS = 4  # of a depth; the window refines it further
+_DAMPING = 1e-2
+_TOLERANCE = 1e-3
 
 
 @njit(cache=True, nogil=True)
-def spread(active, candidates, distance, size, kept):
-    """Keep candidates that are away from active points and from those kept before them.
+def apart(at, distance, taken, kept):
+    """Keep points, in their order, that are apart from those that are there and those kept before.
 
     Args:
-        active: (M, 2) pixels of active points; any place.
-        candidates: (N, 2) pixels.
-        distance: (N,) least distance of each, px.
-        size: side of a cell of the search, px: at least the largest distance.
-        kept: (N,) bool to write to.
+        at: (N, 2) pixels of the candidates, in the image.
+        distance: (N,) int64 pixels in x or y by which each must be apart.
+        taken: (H, W) bool pixels of those that are there; those that are kept become true.
+        kept: (N,) bool, written.
     """
-    n, m = candidates.shape[0], active.shape[0]
-    kept[:] = False
-    if n == 0:
-        return
-    x0, y0, x1, y1 = np.inf, np.inf, -np.inf, -np.inf
-    for i in range(n):
-        x0, x1 = min(x0, candidates[i, 0]), max(x1, candidates[i, 0])
-        y0, y1 = min(y0, candidates[i, 1]), max(y1, candidates[i, 1])
-    columns, rows = int((x1 - x0) / size) + 1, int((y1 - y0) / size) + 1
-    head = np.full(columns * rows, -1, np.int64)
-    following = np.full(n + m, -1, np.int64)
-    place = np.empty((n + m, 2))
-    for j in range(m + n):
-        i = j - m
-        u, v = (active[j, 0], active[j, 1]) if i < 0 else (candidates[i, 0], candidates[i, 1])
-        # Points about the candidates' box count too, in the nearest cell; farther ones can be near none.
-        if not (x0 - size <= u <= x1 + size and y0 - size <= v <= y1 + size):
-            continue
-        c = min(max(int(np.floor((u - x0) / size)), 0), columns - 1)
-        r = min(max(int(np.floor((v - y0) / size)), 0), rows - 1)
-        free = True
-        if i >= 0:
-            square = distance[i] * distance[i]
-            for rr in range(max(0, r - 1), min(rows, r + 2)):
-                for cc in range(max(0, c - 1), min(columns, c + 2)):
-                    k = head[rr * columns + cc]
-                    while k >= 0 and free:
-                        if (place[k, 0] - u) ** 2 + (place[k, 1] - v) ** 2 < square:
-                            free = False
-                        k = following[k]
-            kept[i] = free
-        if free:
-            place[j, 0], place[j, 1] = u, v
-            following[j] = head[r * columns + c]
-            head[r * columns + c] = j
+    for i in range(at.shape[0]):
+        x, y, d = int(at[i, 0]), int(at[i, 1]), distance[i]
+        kept[i] = not taken[max(0, y - d) : y + d + 1, max(0, x - d) : x + d + 1].any()
+        if kept[i]:
+            taken[y, x] = True
 
 
 @njit(cache=True, nogil=True)
@@ -98,10 +66,10 @@ def _pattern_model(level, camera, u0, v0, d, pattern, intensity, weight, T, gain
 
 @njit(cache=True, nogil=True)
 def refine_depths(
-    images, live, camera, pattern, uv, host, intensity, weight, T, affine, huber, outlier, iterations,
-    inverse_depth, information, seen,
+    images, live, camera, pattern, uv, host, intensity, weight, T, affine, huber, outlier, inverse_depth,
+    information, seen,
 ):  # fmt: skip
-    """Gauss-Newton steps on the inverse depth of single points over all keyframes that see them.
+    """Refine the inverse depths of single points over all keyframes that see them.
 
     Args:
         images: (S, H, W, 3) keyframes.
@@ -111,41 +79,53 @@ def refine_depths(
         affine: (S, S, 2) likewise.
         huber: residual beyond which it counts linearly.
         outlier: (S,) cost of a pattern beyond which it is not that surface, per keyframe.
-        iterations: most steps.
         inverse_depth: (N,) changed.
         information: (N,) on it at the end.
         seen: (N, S) int8: 1 where the point looks alike, 0 where it does not, -1 where it is not seen.
     """
-    S = images.shape[0]
-    row = np.empty(S, np.int8)
+    state, trial, step = np.empty(1), np.empty(1), np.empty(1)
+    H, gradient, trial_H, trial_gradient = np.empty((1, 1)), np.empty(1), np.empty((1, 1)), np.empty(1)
+    L, rows = np.empty((1, 1)), whole_rows(np.int64(1))
     for i in range(uv.shape[0]):
-        h, d = host[i], inverse_depth[i]
-        energy, H, g = 0.0, 0.0, 0.0
-        damping = _DAMPING
-        for step in range(iterations + 1):
-            there = d if step == 0 else d - g / (H * (1.0 + damping) + 1e-9)
-            if not there > 0.0:
-                there = 0.5 * d
-            e2, H2, g2 = 0.0, 0.0, 0.0
-            for s in range(S):
-                row[s] = -1
-                if s == h or not live[s]:
-                    continue
-                bound = max(outlier[h], outlier[s])
-                e, a, b, row[s] = _pattern_model(
-                    images[s], camera, uv[i, 0], uv[i, 1], there, pattern, intensity[i], weight[i], T[h, s],
-                    np.exp(affine[h, s, 0]), affine[h, s, 1], huber, bound,
-                )  # fmt: skip
-                e2, H2, g2 = e2 + e, H2 + a, g2 + b
-            if step == 0 or e2 < energy:
-                still = step > 0 and abs(there - d) < 1e-4 * d
-                d, energy, H, g = there, e2, H2, g2
-                damping *= 0.5
-                seen[i] = row
-                if still:
-                    break
-            else:
-                damping *= 5.0
-                if damping > _MOST_DAMPING:
-                    break
-        inverse_depth[i], information[i] = d, H
+        h = host[i]
+        observed = (
+            images, live, camera, pattern, uv[i], h, intensity[i], weight[i], T[h], affine[h], huber, outlier,
+            seen[i],
+        )  # fmt: skip
+        state[0] = inverse_depth[i]
+        cost = _depth_model(state, observed, H, gradient)
+        problem = state, trial, observed, H, gradient, trial_H, trial_gradient, L, rows, step
+        minimise(is_known, _propose, accept_trial, problem, cost, _STEPS, _DAMPING, _TOLERANCE)
+        _depth_model(state, observed, H, gradient)
+        inverse_depth[i], information[i] = state[0], H[0, 0]
+
+
+@njit(inline="always")
+def _propose(problem, damping):
+    state, trial, observed, H, gradient, trial_H, trial_gradient, L, rows, step = problem
+    predicted = damped_step(H, gradient, damping, L, rows, step)
+    if predicted == np.inf:
+        return np.inf, 0.0
+    trial[0] = state[0] + step[0]
+    if not trial[0] > 0.0:
+        trial[0] = 0.5 * state[0]
+    return _depth_model(trial, observed, trial_H, trial_gradient), predicted
+
+
+@njit(inline="always")
+def _depth_model(state, observed, H, gradient):
+    """Cost of an inverse depth over all keyframes, with half of it as a quadratic form."""
+    images, live, camera, pattern, uv, h, intensity, weight, T, affine, huber, outlier, seen = observed
+    total, H[0, 0], gradient[0] = 0.0, 0.0, 0.0
+    for s in range(images.shape[0]):
+        seen[s] = -1
+        if s == h or not live[s]:
+            continue
+        cost, a, b, seen[s] = _pattern_model(
+            images[s], camera, uv[0], uv[1], state[0], pattern, intensity, weight, T[s],
+            np.exp(affine[s, 0]), affine[s, 1], huber, max(outlier[h], outlier[s]),
+        )  # fmt: skip
+        total += cost
+        H[0, 0] += a
+        gradient[0] += b
+    return total

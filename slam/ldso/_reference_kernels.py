@@ -1,6 +1,7 @@
 """Kernels that spread the inverse depths of points over the levels of a keyframe's pyramid.
 
-They follow the public code of the authors of "Direct Sparse Odometry" step by step.
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.1: points are projected and slightly
+dilated. Ours: by the four pixels beside each, and coarser levels have weighted means.
 """
 
 import numpy as np
@@ -37,13 +38,12 @@ def halved_sums(fine):
 
 
 @njit(cache=True, nogil=True)
-def gather(total, mass, level, diagonal, margin, uv, inverse_depth, intensity):
-    """Write the pixels that have a depth, those without taking the mean of their neighbours'.
+def gather(total, mass, level, margin, uv, inverse_depth, intensity):
+    """Write the pixels that have a depth, those without taking the mean of the four beside them.
 
     Args:
         total, mass: (H, W) sums as of :func:`splat`, of this level.
         level: (H, W, 3) of the keyframe.
-        diagonal: the neighbours are the four diagonal ones, else the four others.
         margin: pixels along the border left out.
         uv, inverse_depth, intensity: (H W, 2), (H W,), (H W,) to write to.
 
@@ -56,14 +56,8 @@ def gather(total, mass, level, diagonal, margin, uv, inverse_depth, intensity):
         for x in range(margin, width - margin):
             t, m = total[y, x], mass[y, x]
             if m <= 0.0:
-                for k in range(4):
-                    if diagonal:
-                        dx, dy = 2 * (k % 2) - 1, 2 * (k // 2) - 1
-                    else:
-                        dx = (k == 0) - (k == 1)
-                        dy = (k == 2) - (k == 3)
-                    t += total[y + dy, x + dx]
-                    m += mass[y + dy, x + dx]
+                t = total[y, x - 1] + total[y, x + 1] + total[y - 1, x] + total[y + 1, x]
+                m = mass[y, x - 1] + mass[y, x + 1] + mass[y - 1, x] + mass[y + 1, x]
             value = level[y, x, 0]
             if m > 0.0 and t > 0.0 and value >= 0.0:  # not NaN
                 uv[count, 0], uv[count, 1] = x, y

@@ -6,8 +6,8 @@ part of their Jacobian, that of the point itself, taken at the first estimates o
 Eight points of one host go through each stage together, so that its loops over them are vectorised: what the
 stages hand on lies in rows of one table, a column per point.
 
-Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3.
-Where it says less, the bounds of outliers follow the authors' public code.
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.2 and 2.3. The bound of a residual is
+the larger of those of its two keyframes.
 """
 
 import numpy as np

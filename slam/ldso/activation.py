@@ -1,75 +1,56 @@
-"""Activation: points whose depth is certain enough become part of the window, spread over the image.
+"""Activation: points whose depth is known well enough become part of the window, spread over the image.
 
-Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.2.
-Where it says less, this follows the authors' public code step by step.
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.2: points are kept apart in the newest
+keyframe, and more so where they stand out on coarse levels only. Ours: by the width of a pattern, beyond
+which residuals are independent. The paper takes the farthest ones, which lie at the border and leave it soon.
 """
 
 import numpy as np
 
 from dslab.slam.direct._alignment_kernels import PATTERN
-from dslab.slam.ldso._activation_kernels import refine_depths, spread
-from dslab.slam.ldso.config import ImmatureConfig, PhotometricConfig
+from dslab.slam.ldso._activation_kernels import apart, refine_depths
+from dslab.slam.ldso.config import PhotometricConfig
 from dslab.slam.ldso.points import Active, Immature
 from dslab.slam.ldso.window import Window
 
-_FIRST_SPACING_PX = 4.0
-_MOST_SPACING_PX = 8.0
-_COARSEST = 4.0  # factor of the spacing of points that stand out on the coarsest level only
-# Share of the wanted points up to which the spacing is widened by so many pixels.
-_FEWER = ((0.66, 1.6), (0.8, 1.0), (0.9, 0.4), (1.0, 0.2))
+_PATTERN_PX = 4
+_LEAST_INFORMATION = 100.0
+"""Of a depth in units of the usual one, for residuals of unit variance: with residuals of four grey levels a
+depth is known to two fifths of the usual one."""
 
 
-class Activator:
-    """Chooses the points that are activated, so that the window has about as many as wanted, and no more.
+def activate(window: Window, photometric: PhotometricConfig) -> int:
+    """Activate points in a window that has got a new keyframe; the number of them.
 
-    Attributes:
-        spacing_px: least distance of a new point to others.
+    Those that are chosen but look alike nowhere are dropped, and so are hopeless ones.
     """
+    immature = window.immature
+    ripe = np.flatnonzero(immature.is_ripe & (immature.host != window.newest))
+    rows = ripe[_apart(window, immature.of(ripe))]
+    room = max(0, min(window.config.points - len(window.active), len(rows)))
+    rows = rows[np.arange(room) * len(rows) // max(1, room)]
+    found, good = refined(window, immature.of(rows), photometric)
+    window.active = window.active.with_more(found.of(good))
+    gone = immature.is_hopeless
+    gone[rows] = True
+    window.immature = immature.of(~gone)
+    return int(good.sum())
 
-    def __init__(self) -> None:
-        self.spacing_px = _FIRST_SPACING_PX
 
-    def activate(self, window: Window, config: ImmatureConfig, photometric: PhotometricConfig) -> int:
-        """Activate points in a window that has got a new keyframe; the number of them.
-
-        Those that are chosen but look alike nowhere are dropped, and so are hopeless ones.
-        """
-        self._adapt(len(window.active), window.config.points)
-        immature = window.immature
-        ripe = immature.is_ripe(config) & (immature.host != window.newest)
-        rows = np.flatnonzero(ripe)
-        rows = rows[self._are_spread(window, immature.of(rows))]
-        room = max(0, window.config.points - len(window.active))
-        rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(room, len(rows))).astype(int))]
-        found, good = refined(window, immature.of(rows), config, photometric)
-        window.active = window.active.with_more(found.of(good))
-        gone = immature.is_hopeless
-        gone[rows] = True
-        dropped = gone.copy()
-        dropped[rows[good]] = False
-        np.add.at(window.gone, immature.host[dropped], 1)
-        window.immature = immature.of(~gone)
-        return int(good.sum())
-
-    def _adapt(self, active: int, wanted: int) -> None:
-        share = active / wanted
-        change = next((-px for most, px in _FEWER if share < most), 0.0)
-        if share > 1.0:
-            change = next((px for most, px in _FEWER if 1.0 / share < most), 0.0)
-        self.spacing_px = float(np.clip(self.spacing_px + change, 0.0, _MOST_SPACING_PX))
-
-    def _are_spread(self, window: Window, candidates: Immature) -> np.ndarray:
-        """(N,) bool: candidates that are away from active points and from each other in the newest view."""
-        seen, _, _ = window.seen_from(window.newest)
-        at = projected(window, candidates, candidates.inverse_depth)
-        height, width = window.images.shape[1:3]
-        inside = np.all((at > 2) & (at < [width - 3, height - 3]), axis=1)
-        distance = self.spacing_px * 2.0 ** candidates.scale[inside]
-        kept = np.zeros(int(inside.sum()), bool)
-        size = max(1.0, _COARSEST * self.spacing_px)
-        spread(seen, np.ascontiguousarray(at[inside]), distance, size, kept)
-        inside[inside] = kept
-        return inside
+def _apart(window: Window, candidates: Immature) -> np.ndarray:
+    """(N,) bool: candidates that are apart from active points and each other in the newest keyframe."""
+    height, width = window.images.shape[1:3]
+    seen = np.floor(window.seen_from(window.newest)[0]).astype(int)
+    seen = seen[np.all((seen >= 0) & (seen < [width, height]), axis=1)]
+    taken = np.zeros((height, width), bool)
+    taken[seen[:, 1], seen[:, 0]] = True
+    at = projected(window, candidates, candidates.inverse_depth)
+    kept = np.all((at > 2) & (at < [width - 3, height - 3]), axis=1)
+    of_inside = np.zeros(int(kept.sum()), bool)
+    distance = _PATTERN_PX << candidates.scale[kept].astype(np.int64)
+    apart(np.ascontiguousarray(at[kept]), distance, taken, of_inside)
+    kept[kept] = of_inside
+    return kept
 
 
 def projected(window: Window, points: Immature, inverse_depth: np.ndarray) -> np.ndarray:
@@ -82,9 +63,7 @@ def projected(window: Window, points: Immature, inverse_depth: np.ndarray) -> np
     return X[:, :2] / z[:, None] * [fx, fy] + [cx, cy]
 
 
-def refined(
-    window: Window, points: Immature, config: ImmatureConfig, photometric: PhotometricConfig
-) -> tuple[Active, np.ndarray]:
+def refined(window: Window, points: Immature, photometric: PhotometricConfig) -> tuple[Active, np.ndarray]:
     """Refine depths over all keyframes of a window.
 
     Returns:
@@ -97,10 +76,11 @@ def refined(
     refine_depths(
         window.images, window.live, window.intrinsics[0], PATTERN, points.uv, points.host, points.intensity,
         points.weight, window.motions(), window.brightness(), photometric.huber, window.outlier,
-        config.iterations, inverse_depth, information, seen,
+        inverse_depth, information, seen,
     )  # fmt: skip
     alike = (seen == 1).sum(axis=1)
-    good = (alike > 0) & (information > config.least_information) & (inverse_depth > 0)
+    usual = np.median(inverse_depth) if n else 1.0
+    good = (alike > 0) & (information * usual**2 > _LEAST_INFORMATION) & (inverse_depth > 0)
     seen[seen == 0] = -1
     found = Active(
         points.host, points.uv, points.intensity, points.weight, points.scale, inverse_depth, information,

@@ -1,22 +1,20 @@
 """Photometric bundle adjustment of a window.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3.
-Where it says less, damping and the bounds of outliers follow the authors' public code.
+The driver of least squares is the lab's one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dslab.slam.ldso.config import PhotometricConfig
 from dslab.slam.ldso.model import WindowModel, model_of
-from dslab.slam.ldso.window import PARAMETERS, Window
+from dslab.slam.ldso.window import PARAMETERS, Window, bound_of
+from dslab.slam.optimization.least_squares import minimise
 
 _DAMPING = 1e-4
-_LEAST_DAMPING = 1e-5
-_MOST_DAMPING = 1e5
 _STILL_PX = 0.01  # a smaller step of all keyframes is none
-_LEAST_GAIN = 1e-3  # share of the cost; a step that gains less is the last one
 _PATTERN = 8
 
 
@@ -36,38 +34,47 @@ class Adjusted:
     error: float
 
 
-def adjust(window: Window, photometric: PhotometricConfig, iterations: int | None = None) -> Adjusted:
+@dataclass(frozen=True)
+class DepthPrior:
+    """Where inverse depths are expected.
+
+    Attributes:
+        information: on each, in units of the residuals' variance.
+        mean: (N,) of them.
+    """
+
+    information: float
+    mean: np.ndarray
+
+
+def adjust(
+    window: Window,
+    photometric: PhotometricConfig,
+    iterations: int | None = None,
+    depth_prior: DepthPrior | None = None,
+    tolerance: float = 1e-3,
+) -> Adjusted:
     """Adjust poses, brightness and inverse depths; residuals that do not look alike at the end are removed.
 
     Args:
         window: changed.
         photometric: settings.
         iterations: most steps; those of the window's settings by default.
+        depth_prior: where inverse depths are expected, if anywhere.
+        tolerance: share of the cost; a step that gains less is the last one.
     """
-    points, huber = window.active, photometric.huber
-    taken = points.seen >= 0
-    model = model_of(window, points, taken, huber)
-    cost = before = model.cost + _prior_cost(window, photometric)
-    damping, steps = _DAMPING, 0
-    for _ in range(window.config.iterations if iterations is None else iterations):
-        step = _step(window, model, photometric, damping)
-        delta, depths = window.delta.copy(), points.inverse_depth.copy()
-        window.move_to(delta + step.reshape(-1, PARAMETERS))
-        moved = depths + model.depth_steps(step, damping)
-        points.inverse_depth = np.where(moved > 0, moved, 0.5 * depths)
-        there = model_of(window, points, taken, huber)
-        cost_there = there.cost + _prior_cost(window, photometric)
-        gain = cost - cost_there
-        if gain > 0:
-            model, cost, steps = there, cost_there, steps + 1
-            damping = max(0.25 * damping, _LEAST_DAMPING)
-        else:
-            window.move_to(delta)
-            points.inverse_depth = depths
-            damping = min(100.0 * damping, _MOST_DAMPING)
-        if _is_still(window, step) or 0 < gain < _LEAST_GAIN * cost:
-            break
-    _bound_outliers(window, model)
+    points = window.active
+    problem = _Problem(window, photometric, depth_prior)
+    before = problem.cost
+    cost, steps = minimise.py_func(
+        _Problem.linearise, _Problem.propose, _Problem.accept, problem, before,
+        window.config.iterations if iterations is None else iterations, _DAMPING, tolerance,
+    )  # fmt: skip
+    problem.restore()
+    model, newest = problem.model, window.newest
+    energy = model.energy[model.seen[:, newest] >= 0, newest]
+    if len(energy):
+        window.outlier[newest] = bound_of(energy, points, photometric.huber)
     alike = model.seen == 1
     points.seen = np.where(alike, model.seen, np.int8(-1))
     points.observed = np.maximum(points.observed, alike.sum(axis=1))
@@ -79,8 +86,71 @@ def adjust(window: Window, photometric: PhotometricConfig, iterations: int | Non
     return Adjusted(before, cost, steps, error)
 
 
-def _step(window: Window, model: WindowModel, photometric: PhotometricConfig, damping: float) -> np.ndarray:
-    """(8 S,) step of the keyframes; none along what no residual determines."""
+class _Problem:
+    """A window as a problem of least squares: its state is the step from the first estimates, and depths.
+
+    Attributes:
+        cost: of the residuals and the priors.
+        model: of the residuals.
+    """
+
+    def __init__(
+        self, window: Window, photometric: PhotometricConfig, depth_prior: DepthPrior | None
+    ) -> None:
+        self._window, self._photometric, self._depth_prior = window, photometric, depth_prior
+        self._taken = window.active.seen >= 0
+        self._delta, self._depths = window.delta.copy(), window.active.inverse_depth
+        self.cost, self.model = self._at()
+        self._still = False
+        self._trial = self.model, self._delta, self._depths
+
+    def _at(self) -> tuple[float, WindowModel]:
+        """Cost and model where the window is."""
+        window = self._window
+        model = model_of(window, window.active, self._taken, self._photometric.huber)
+        cost, prior = model.cost + _prior_cost(window, self._photometric), self._depth_prior
+        if prior is not None:
+            off = window.active.inverse_depth - prior.mean
+            cost += prior.information * float(off @ off)
+            model = replace(
+                model,
+                information=model.information + prior.information,
+                gradient=model.gradient + prior.information * off,
+            )
+        return cost, model
+
+    def linearise(self) -> None:
+        """Nothing: each cost comes with its model."""
+
+    def propose(self, damping: float) -> tuple[float, float]:
+        """Move the window by a damped step; its cost there, and the gain that the model predicts."""
+        window, model = self._window, self.model
+        step, predicted = _step(window, model, self._photometric, damping)
+        window.move_to(self._delta + step.reshape(-1, PARAMETERS))
+        along = model.depth_steps(step, damping)
+        predicted += float(along @ (damping * model.information * along - model.gradient))
+        moved = self._depths + along
+        window.active.inverse_depth = np.where(moved > 0, moved, 0.5 * self._depths)
+        cost, there = self._at()
+        self._still = _is_still(window, step)
+        self._trial = there, window.delta.copy(), window.active.inverse_depth
+        return cost, predicted
+
+    def accept(self) -> bool:
+        """Stay there; true if that was hardly a step."""
+        self.model, self._delta, self._depths = self._trial
+        return self._still
+
+    def restore(self) -> None:
+        """Move the window to the best state."""
+        self._window.move_to(self._delta)
+        self._window.active.inverse_depth = self._depths
+
+
+def _step(
+    window: Window, model: WindowModel, photometric: PhotometricConfig, damping: float
+) -> tuple[np.ndarray, float]:
+    """(8 S,) step of the keyframes, none along what no residual determines, and their part of the gain."""
     H, b = model.H + window.prior_H, model.b + window.prior_b + window.prior_H @ window.delta.ravel()
     information, pull = affine_prior(window, photometric)
     H[np.diag_indices_from(H)] += information
@@ -92,11 +162,11 @@ def _step(window: Window, model: WindowModel, photometric: PhotometricConfig, da
     scale = 1.0 / np.sqrt(np.maximum(H.diagonal()[rows], 1e-12))
     A = A * scale * scale[:, None]
     A[np.diag_indices_from(A)] += 1e-10
-    x = -scale * np.linalg.solve(A, scale * g)
     step = np.zeros(len(b))
-    step[rows] = x
+    step[rows] = -scale * np.linalg.solve(A, scale * g)
     free = gauge(window)
-    return step - free @ (free.T @ step)
+    step -= free @ (free.T @ step)
+    return step, float(step @ (damping * H.diagonal() * step - b))
 
 
 def gauge(window: Window) -> np.ndarray:
@@ -126,16 +196,6 @@ def _prior_cost(window: Window, photometric: PhotometricConfig) -> float:
     unexpected = window.affine - window.expected
     brightness = float(pull.reshape(-1, PARAMETERS)[:, 6:].ravel() @ unexpected.ravel())
     return float(delta @ window.prior_H @ delta + 2.0 * window.prior_b @ delta) + brightness
-
-
-def _bound_outliers(window: Window, model: WindowModel) -> None:
-    """Bound the residuals of the newest keyframe by what most of them are."""
-    config, slot = window.config, window.newest
-    energy = model.energy[model.seen[:, slot] >= 0, slot]
-    if not len(energy):
-        return
-    usual = config.outlier_factor * np.sqrt(np.quantile(energy, config.outlier_quantile) / _PATTERN)
-    window.outlier[slot] = _PATTERN * (0.5 * (usual + config.outlier_usual)) ** 2
 
 
 def _is_still(window: Window, step: np.ndarray) -> bool:

@@ -1,6 +1,6 @@
 """Settings of direct sparse odometry."""
 
-from dslab.slam.core.settings import DEPTHS, GREY, setting, settings
+from dslab.slam.core.settings import GREY, setting, settings
 from dslab.slam.direct.selection import SelectionConfig
 
 
@@ -25,12 +25,7 @@ class PhotometricConfig:
 class DirectTrackingConfig:
     """Settings of the tracker."""
 
-    cutoff: float = setting(20.0, "residual counted at most, doubled while too many are", unit=GREY, gt=0)
-    most_cutoff_factor: float = setting(8.0, "largest factor of the cutoff", ge=1)
-    most_saturated: float = setting(0.6, "share of residuals beyond the cutoff that is too many", le=1)
     iterations: int = setting(20, "most steps on a level")
-    good: float = setting(1.5, "error over the last frame's with which no other guess is tried")
-    usual_error: float = setting(3.0, "error that is good in any case", unit=GREY)
 
 
 @settings
@@ -44,27 +39,6 @@ class KeyframeConfig:
 
 
 @settings
-class ImmatureConfig:
-    """Settings of points whose depth is being searched."""
-
-    selection: SelectionConfig = setting(SelectionConfig(points=1500), "of a keyframe's pixels")
-    most_share: float = setting(0.027, "longest search, of width plus height of the image", le=1)
-    nearest: float = setting(3.0, "inverse depth over the usual one to which new points are searched")
-    longest: float = setting(4.0, "where nothing is known of a point, longest search over most_share")
-    certain_px: float = setting(1.5, "length of an interval that needs no search")
-    error_px: float = setting(0.2, "error of a place found, at least")
-    slope_error_px: float = setting(0.2, "further error, over the gradient's share along the line")
-    most_error_px: float = setting(10.0, "largest error of a place found")
-    second_px: float = setting(2.0, "distance of the second best place, at least")
-    outlier: float = setting(12.0, "mean residual of the pattern beyond which nothing is found", unit=GREY)
-    slack: float = setting(1.2, "factor of outlier during the search")
-    activated_px: float = setting(8.0, "length of the interval below which a point can be activated")
-    quality: float = setting(3.0, "least residual of the second best place over the best")
-    iterations: int = setting(3, "steps of the refinement of a depth at activation")
-    least_information: float = setting(100.0, "information that an inverse depth needs for activation")
-
-
-@settings
 class WindowConfig:
     """Settings of the window of keyframes."""
 
@@ -72,13 +46,11 @@ class WindowConfig:
     most: int = setting(7, "most keyframes that stay", ge=1)
     points: int = setting(2000, "points that are wanted")
     iterations: int = setting(6, "most Gauss-Newton steps")
-    least_points: float = setting(0.05, "share of active points below which a keyframe leaves", le=1)
-    most_gain: float = setting(0.7, "absolute logarithm of the gain beyond which a keyframe leaves")
+    least_in_view: float = setting(
+        0.05, "share of its points in the newest keyframe's view below which a keyframe leaves", le=1
+    )
     margin_information: float = setting(50.0, "least information of a depth marginalised, not dropped")
     margin_weight: float = setting(0.25, "weight of what is marginalised", le=1)
-    outlier_quantile: float = setting(0.7, "share of newest residuals below the outliers' bound", le=1)
-    outlier_factor: float = setting(1.5, "bound of outliers over the residual at that share")
-    outlier_usual: float = setting(9.2, "residual with which the bound is averaged", unit=GREY)
 
 
 @settings
@@ -103,17 +75,9 @@ class CornerConfig:
 class LossConfig:
     """Settings of the rule by which a loss of tracking is declared."""
 
-    most_error: float = setting(14.0, "error beyond which an image does not look like the map", unit=GREY)
-    error_factor: float = setting(3.0, "error over the last second's beyond which an image differs")
-    least_error: float = setting(4.0, "least that the usual error is taken as", unit=GREY)
     least_visible: float = setting(0.15, "share of the newest keyframe's pixels that must be in view", le=1)
-    most_saturated: float = setting(0.5, "share of their residuals beyond the cutoff that is too many", le=1)
     least_likeness: float = setting(0.5, "correlation of views below which tracking is lost", le=1)
-    most_jump: float = setting(8.0, "step over the usual one beyond which tracking is lost")
-    least_jump_depths: float = setting(0.1, "step in position that is never a jump", unit=DEPTHS)
-    least_jump_deg: float = setting(5.0, "step in angle that is never a jump")
-    most_trade_deg: float = setting(1.2, "change of motion up to which turn and translation may cancel out")
-    most_left: float = setting(0.5, "share of it left of both together, below which they do", le=1)
+    max_uncertainty: float = setting(0.05, "rad or usual depths by which a pose may be unknown", gt=0)
     least_points: int = setting(100, "active points of the window below which tracking is lost")
     min_keyframes: int = setting(5, "a map that is lost with no more keyframes is dropped")
 
@@ -138,7 +102,7 @@ class DsoConfig:
     photometric: PhotometricConfig = setting(PhotometricConfig(), "residuals")
     tracking: DirectTrackingConfig = setting(DirectTrackingConfig(), "tracking of frames")
     keyframes: KeyframeConfig = setting(KeyframeConfig(), "decision for a keyframe")
-    immature: ImmatureConfig = setting(ImmatureConfig(), "points whose depth is being searched")
+    selection: SelectionConfig = setting(SelectionConfig(points=1500), "pixels whose depth is sought")
     window: WindowConfig = setting(WindowConfig(), "bundle adjustment and marginalisation")
     loss: LossConfig = setting(LossConfig(), "when tracking is lost")
     corners: CornerConfig = setting(CornerConfig(), "points that are recognised, with loops only")

@@ -74,7 +74,8 @@ def _check_points(window: Window, live: np.ndarray) -> None:
     require(live[active.host].all() and live[waiting.host].all(), "a point of a keyframe that has left")
     require(_is_positive(active.inverse_depth), "an active point has no depth")
     require((active.seen[:, ~live] == -1).all(), "a residual in a keyframe that has left")
-    require(not (waiting.far > waiting.near).any(), "an interval of depths is empty")
+    depths = waiting.inverse_depth, waiting.variance
+    require(all((d >= 0).all() for d in depths), "a depth that is searched is none")
     gone = np.repeat(~live, PARAMETERS)
     require(not window.prior_H[gone].any(), "a keyframe that has left is held by what was marginalised")
     uneven, scale = np.abs(window.prior_H - window.prior_H.T).max(), np.abs(window.prior_H).max()

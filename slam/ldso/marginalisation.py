@@ -1,7 +1,6 @@
 """Marginalisation: which keyframes and points leave a window, and what they leave behind.
 
-Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.3.
-Where it says less, the choice of what leaves follows the authors' public code.
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.1.
 """
 
 import numpy as np
@@ -16,32 +15,42 @@ _LEAST_GOOD = 3  # residuals of a point that is marginalised, not dropped, now o
 _TINY = 1e-5
 
 
-def leaving(window: Window, T_cam_map: np.ndarray, affine: np.ndarray) -> list[int]:
-    """Slots of keyframes that leave when a new one comes.
+def leaving(window: Window, T_cam_map: np.ndarray) -> list[int]:
+    """Slots of keyframes that leave when a new one comes; the two newest and it stay (Sec. 3.1).
 
-    Those with few points left or another brightness leave; if there are still too many, the one that is
-    near to others and far from the newest.
+    Those leave whose points are hardly in its view. If there are still too many, the one that is near to
+    others and far from the new one.
 
     Args:
         window: before the new keyframe.
         T_cam_map: (4, 4) pose of the new keyframe.
-        affine: (2,) its brightness.
     """
-    config, out = window.config, []
-    hosted = np.bincount(window.active.host, minlength=window.size)
-    hosted += np.bincount(window.immature.host, minlength=window.size)
-    for slot in window.slots:
-        gain = abs(window.affine[slot, 0] - affine[0])
-        few = hosted[slot] < config.least_points * (hosted[slot] + window.gone[slot])
-        if (few or gain > config.most_gain) and len(window) - len(out) > config.fewest:
-            out.append(slot)
+    config = window.config
+    in_view = share_in_view(window, T_cam_map)
+    out = [s for s in window.slots[:-1] if in_view[s] < config.least_in_view]
+    out = out[: max(0, len(window) - config.fewest)]
     while len(window) - len(out) >= config.most:
         out.append(_farthest(window, [s for s in window.slots if s not in out], T_cam_map))
     return out
 
 
+def share_in_view(window: Window, T_cam_map: np.ndarray) -> np.ndarray:
+    """(S,) share of the active points that a keyframe ever had that are in a camera's view; 0 without."""
+    points = window.active
+    fx, fy, cx, cy = window.intrinsics[0]
+    height, width = window.images.shape[1:3]
+    T = (T_cam_map @ np.linalg.inv(window.T_cam_map))[points.host]
+    rays = np.column_stack([(points.uv - [cx, cy]) / [fx, fy], np.ones(len(points))])
+    X = np.einsum("nij,nj->ni", T[:, :3, :3], rays) + T[:, :3, 3] * points.inverse_depth[:, None]
+    X[X[:, 2] <= 1e-6] = np.nan
+    uv = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
+    inside = ((uv >= 0) & (uv < [width, height])).all(axis=1)
+    of_each = np.bincount(points.host, minlength=window.size) + window.gone
+    return np.bincount(points.host, inside, minlength=window.size) / np.maximum(of_each, 1)
+
+
 def _farthest(window: Window, slots: list[int], T_cam_map: np.ndarray) -> int:
-    """The keyframe, the newest left out, that is far from the new one and near to others."""
+    """The keyframe, the newest left out, of the largest distance score (Sec. 3.1)."""
     new = camera_centre(T_cam_map)
     centres = {s: camera_centre(window.T_cam_map[s]) for s in slots}
     unit = np.mean([np.linalg.norm(new - c) for c in centres.values()]) + 1e-12

@@ -1,7 +1,7 @@
 """Direct sparse odometry in one map: frames tracked, keyframes made.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 3.
-Where it says less, the guesses of motion and ``refer`` follow the authors' public code.
+Ours: where a frame is expected (:mod:`slam.ldso.motion`) and what a point counts for in the reference.
 """
 
 from collections.abc import Iterator
@@ -15,18 +15,24 @@ from dslab.slam.core.geometry import ViewGeometry
 from dslab.slam.core.results import MapTrajectory
 from dslab.slam.direct.alignment import fan
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.rays import LEAST_NOISE
 from dslab.slam.direct.selection import select
-from dslab.slam.ldso.activation import Activator
+from dslab.slam.ldso.activation import activate
 from dslab.slam.ldso.adjustment import adjust
 from dslab.slam.ldso.brightness import composed, relative
 from dslab.slam.ldso.config import DsoConfig
 from dslab.slam.ldso.corners import described, with_corners
 from dslab.slam.ldso.lens import LensEstimator
 from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_points
+from dslab.slam.ldso.motion import SHARED, MotionFilter
 from dslab.slam.ldso.points import Immature
-from dslab.slam.ldso.tracking import PhotometricTracker, Tracked, TrackingReference
+from dslab.slam.ldso.tracking import SURE, Expected, PhotometricTracker, Tracked, TrackingReference
 from dslab.slam.ldso.window import Keyframe, Window
 from dslab.slam.optimization.sim3 import sim3_decompose
+
+_LEAST_WEIGHT = 1e-3  # of a point whose depth no residual determines
+_MORE_UNLIKE = 2.0  # than the last frame, with which other guesses are tried
+_FIRST_ERROR = 4.0  # of a frame before any is tracked, of 255
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,11 @@ class PlacedFrame:
     T_cam_keyframe: np.ndarray
 
 
+def _weighed(tracked: Tracked) -> np.ndarray:
+    """(6, 6) information of a frame's image on its pose, for the residuals that it has."""
+    return tracked.information / (SHARED * max(tracked.error, LEAST_NOISE) ** 2)
+
+
 class Odometry:
     """A map that grows with the camera.
 
@@ -61,6 +72,7 @@ class Odometry:
         frames: all frames that were placed, by index.
         left: rows of the keyframes that have left the window with the newest one.
         lens: what the windows say of the lens.
+        motion: what is expected of the next frame.
     """
 
     def __init__(
@@ -77,13 +89,13 @@ class Odometry:
         self.frames: dict[int, PlacedFrame] = {}
         self.left: list[int] = []
         self.lens = LensEstimator(camera, config.lens)
+        self.motion = MotionFilter()
         self._camera = camera
         self._tracker = PhotometricTracker(config.photometric, config.tracking)
-        self._activator = Activator()
         self._corner_view = view
         self._reference: TrackingReference | None = None
         self._first_error = np.nan  # of the first frame after the keyframe
-        self._last_error = np.inf
+        self._last_error, self._last_likeness = _FIRST_ERROR, 1.0
         self._affine = np.zeros(2)  # of the last frame relative to the reference
         self._exposure = 0.0  # of the last frame
 
@@ -98,21 +110,28 @@ class Odometry:
         """
         if self._reference is None:
             raise RuntimeError("there is no keyframe yet")
-        usual = max(self.config.tracking.usual_error, self.config.tracking.good * self._last_error)
+        usual = min(SURE, 1.0 - _MORE_UNLIKE * (1.0 - self._last_likeness))
         affine = self._affine + np.array([exposure - self._exposure, 0.0])
         more = exposure - self.keyframes[-1].exposure
         self._exposure = exposure
-        return self._tracker.track(self._reference, pyramid, self._guesses(), affine, usual, more)
+        T, covariance = self.motion.ahead(self._newest_frames()[0], self.depth)
+        T = T @ np.linalg.inv(self.window.T_cam_map[self.window.newest])
+        variance = SHARED * max(self._last_error, LEAST_NOISE) ** 2
+        expected = Expected(T, np.linalg.inv(covariance), variance)
+        return self._tracker.track(self._reference, pyramid, self._guesses(T), affine, usual, more, expected)
 
     def take(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> bool:
         """Take a tracked frame: narrow the depths of points by it; True if it should become a keyframe."""
+        last, _ = self._newest_frames()
+        T = tracked.T_frame_ref @ self.window.T_cam_map[self.window.newest]
+        self.motion.take(last, T, _weighed(tracked), self.depth)
         self.place(frame, stamp_s, tracked.T_frame_ref)
-        self._affine, self._last_error = tracked.affine, tracked.error
+        self._affine = tracked.affine
+        self._last_error, self._last_likeness = tracked.error, tracked.likeness
         if np.isnan(self._first_error):
             self._first_error = max(tracked.error, 1.0)
-        T = tracked.T_frame_ref @ self.window.T_cam_map[self.window.newest]
         affine = composed(tracked.affine, self.window.affine[self.window.newest])
-        self.search(pyramid, T, affine)
+        self.search(pyramid, T, affine, tracked.error)
         demand = tracked.demand(self._camera.width_px, self._camera.height_px, self.config.keyframes)
         return demand > 1.0 or tracked.error > self.config.keyframes.most_error * self._first_error
 
@@ -120,45 +139,39 @@ class Odometry:
         """Keep the pose of a frame relative to the newest keyframe."""
         self.frames[frame] = PlacedFrame(frame, stamp_s, len(self.keyframes) - 1, T_cam_keyframe)
 
-    def search(self, pyramid: ImagePyramid, T_cam_map: np.ndarray, affine: np.ndarray) -> None:
-        """Search points whose depth is not known yet in a view of known pose and brightness."""
+    def search(self, pyramid: ImagePyramid, T_cam_map: np.ndarray, affine: np.ndarray, noise: float) -> None:
+        """Search points whose depth is not known yet in a view of known pose, brightness and noise."""
         w = self.window
         motions = T_cam_map @ np.linalg.inv(w.T_cam_map)
         affines = np.stack([relative(affine, own) for own in w.affine])
-        usual = float(np.median(w.active.inverse_depth)) if len(w.active) else 1.0
-        config = self.config
-        w.immature.search(
-            pyramid, self.intrinsics[0], motions, affines, usual, config.immature, config.photometric
-        )
+        photometric = self.config.photometric
+        w.immature.search(pyramid, self.intrinsics[0], motions, affines, noise, photometric)
 
-    def _guesses(self) -> Iterator[np.ndarray]:
-        """Motions from the newest keyframe that are tried: steady, double, half, none, and turned ones."""
-        last, before = self._newest_frames()
-        T_keyframe_map = self.window.T_cam_map[self.window.newest]
-        here = last @ np.linalg.inv(T_keyframe_map)
-        step = last @ np.linalg.inv(before)
-        half = np.eye(4)
-        half[:3, :3], half[:3, 3] = step[:3, :3], 0.5 * step[:3, 3]
-        ahead = step @ here
-        yield from (ahead, here, step @ ahead, half @ here, np.eye(4))
-        yield from fan(ahead, self.intrinsics)[1:]
+    def _guesses(self, expected: np.ndarray) -> Iterator[np.ndarray]:
+        """Motions from the newest keyframe that are tried: the expected one, none, and turned ones."""
+        last, _ = self._newest_frames()
+        yield expected
+        yield last @ np.linalg.inv(self.window.T_cam_map[self.window.newest])
+        yield from fan(expected, self.intrinsics)[1:]
 
     def _newest_frames(self) -> tuple[np.ndarray, np.ndarray]:
         """(4, 4) poses, map to camera, of the last frame and the one before."""
         newest = [self.pose(index) for index in islice(reversed(self.frames), 2)]
         return newest[0], newest[-1]
 
+    def begin_motion(self) -> None:
+        """Expect that the camera goes on as in the last two frames."""
+        last, before = self._newest_frames()
+        self.motion.begin(before, last, self.depth)
+
     def pose(self, frame: int) -> np.ndarray:
         """(4, 4) pose of a frame, map to camera."""
         placed = self.frames[frame]
         return placed.T_cam_keyframe @ self.keyframes[placed.keyframe].T_cam_map
 
-    def step_of(self, tracked: Tracked | None) -> np.ndarray:
-        """(4, 4) motion of a tracked frame since the last one."""
-        if tracked is None:
-            return np.eye(4)
-        last, _ = self._newest_frames()
-        return tracked.T_frame_ref @ self.window.T_cam_map[self.window.newest] @ np.linalg.inv(last)
+    def uncertainty(self, tracked: Tracked) -> float:
+        """Largest standard deviation of a tracked frame's pose, in usual depths and rad."""
+        return self.motion.uncertainty(_weighed(tracked))
 
     @property
     def depth(self) -> float:
@@ -180,10 +193,10 @@ class Odometry:
         w, config = self.window, self.config
         T = tracked.T_frame_ref @ w.T_cam_map[w.newest]
         affine = composed(tracked.affine, w.affine[w.newest])
-        out = leaving(w, T, affine)
+        out = leaving(w, T)
         keyframe = Keyframe(frame, stamp_s, T, image=image.copy(), exposure=self._exposure)
         self.insert(keyframe, pyramid, affine)
-        self._activator.activate(w, config.immature, config.photometric)
+        activate(w, config.photometric)
         adjust(w, config.photometric)
         self.lens.take(w, config.photometric)
         remove_points(w, out, config.photometric)
@@ -191,7 +204,7 @@ class Odometry:
         for slot in out:
             remove_keyframe(w, slot, config.photometric)
         self.refer(pyramid)
-        self.select(pyramid)
+        self.select(pyramid, 1.0 / self.depth)
 
     def insert(self, keyframe: Keyframe, pyramid: ImagePyramid, affine: np.ndarray) -> None:
         """Put a keyframe into the window."""
@@ -201,30 +214,37 @@ class Odometry:
         w.add(keyframe, pyramid, affine, float(w.outlier[w.newest]) if len(w) else None)
         self.place(keyframe.frame, keyframe.stamp_s, np.eye(4))
 
-    def select(self, pyramid: ImagePyramid) -> None:
-        """Select points of the newest keyframe, and describe the corners among them if there are loops."""
+    def select(self, pyramid: ImagePyramid, usual: float) -> None:
+        """Select points of the newest keyframe, and describe the corners among them if there are loops.
+
+        Args:
+            pyramid: of it.
+            usual: usual inverse depth.
+        """
         w, config = self.window, self.config
-        found = select(pyramid, config.immature.selection)
+        found = select(pyramid, config.selection)
         if self._corner_view is not None:
             level, keyframe = pyramid.levels[0], self.keyframes[-1]
             found, corner = with_corners(found, level, config.corners)
             keyframe.corners = described(
                 level, found.xy[corner], keyframe.frame, keyframe.stamp_s, self._camera, self._corner_view
             )
-        more = Immature.at(pyramid, w.newest, found.xy.astype(float), found.scale, config.photometric)
+        more = Immature.at(pyramid, w.newest, found.xy.astype(float), found.scale, usual, config.photometric)
         w.immature = w.immature.with_more(more)
 
     def refer(self, pyramid: ImagePyramid) -> None:
         """Track against the newest keyframe from now on."""
         uv, inverse_depth, information = self.window.seen_from(self.window.newest)
-        weight = np.sqrt(information + 1e-3)
+        # Half of a depth's error is its keyframe's, which it shares with others: weights are bounded.
+        information = information + _LEAST_WEIGHT
+        weight = 1.0 / (1.0 / information + 1.0 / np.median(information))
         self._reference = TrackingReference(pyramid, self.intrinsics, uv, inverse_depth, weight)
         self._affine, self._first_error = np.zeros(2), np.nan
 
     def activate(self) -> None:
         """Activate points of a window of two keyframes, at the start, and adjust it."""
         config = self.config
-        self._activator.activate(self.window, config.immature, config.photometric)
+        activate(self.window, config.photometric)
         adjust(self.window, config.photometric, 3 * config.window.iterations)
         self.window.drop_points(~(self.window.active.seen == 1).any(axis=1))
 

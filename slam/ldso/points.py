@@ -1,7 +1,4 @@
-"""Points of keyframes: pixels with their patterns, and what is known of their inverse depths.
-
-Their states follow the public code of the authors of "Direct Sparse Odometry".
-"""
+"""Points of keyframes: pixels with their patterns, and what is known of their inverse depths."""
 
 from dataclasses import dataclass, fields
 from typing import Self
@@ -9,9 +6,12 @@ from typing import Self
 import numpy as np
 
 from dslab.slam.direct._alignment_kernels import PATTERN, sample_patterns
+from dslab.slam.direct._ray_kernels import look
 from dslab.slam.direct.pyramid import ImagePyramid
-from dslab.slam.ldso._epipolar_kernels import ALONG_EDGE, CERTAIN, GOOD, NEW, OUTLIER, OUTSIDE, search
-from dslab.slam.ldso.config import ImmatureConfig, PhotometricConfig
+from dslab.slam.direct.rays import DISTINCT, LEAST_NOISE, POSE_PX, RIPE_PX, unlike
+from dslab.slam.ldso.config import PhotometricConfig
+
+_TOLD = 1 / 16  # of the prior's variance: a quarter of its standard deviation
 
 
 @dataclass
@@ -75,43 +75,40 @@ def patterns(
     return intensity, weight
 
 
-def _structure(pyramid: ImagePyramid, uv: np.ndarray) -> np.ndarray:
-    """(N, 3) sums of gx², gx gy, gy² over the patterns about pixels (N, 2)."""
-    level = pyramid.levels[0]
-    cells = np.rint(uv[:, None] + PATTERN).astype(int)
-    y = np.clip(cells[..., 1], 0, level.shape[0] - 1)
-    gradient = level[y, np.clip(cells[..., 0], 0, level.shape[1] - 1), 1:].astype(float)
-    gx, gy = gradient[..., 0], gradient[..., 1]
-    return np.stack([(gx * gx).sum(1), (gx * gy).sum(1), (gy * gy).sum(1)], axis=1)
-
-
 @dataclass
 class Immature(Pixels):
-    """Points whose depth is being searched.
+    """Points whose depth is being searched; see :mod:`slam.direct.rays`.
 
     Attributes:
-        structure: (N, 3) sums of gx², gx gy, gy² over the pattern.
-        far, near: (N,) interval of inverse depth; ``near`` is infinite where nothing is known.
-        quality: (N,) cost of the second best place over that of the best, least of the searches.
-        status: (N,) int64 outcome of the last search.
-        interval_px: (N,) length of the interval on the line of the last search, px.
+        unlike: (N,) what unlike patterns of the keyframe differ by, of 255.
+        steep: (N,) mean squared gradient of each pattern over that of the keyframe's patterns.
+        slope: (N,) root mean square gradient of these, grey levels per px.
+        inverse_depth, variance: (N,) mean and variance.
+        prior: (N,) variance before any look.
+        floor: (N,) least variance by the poses of the views.
+        right, wrong: (N,) int64 looks in which the surface was seen, and was not.
+        deviation_px: (N,) standard deviation on the line of the last look.
+        outside: (N,) bool: the last view does not show it.
     """
 
-    structure: np.ndarray
-    far: np.ndarray
-    near: np.ndarray
-    quality: np.ndarray
-    status: np.ndarray
-    interval_px: np.ndarray
+    unlike: np.ndarray
+    steep: np.ndarray
+    slope: np.ndarray
+    inverse_depth: np.ndarray
+    variance: np.ndarray
+    prior: np.ndarray
+    floor: np.ndarray
+    right: np.ndarray
+    wrong: np.ndarray
+    deviation_px: np.ndarray
+    outside: np.ndarray
 
     @classmethod
     def none(cls) -> Self:
         """No points."""
-        return cls(
-            np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, len(PATTERN))), np.empty((0, len(PATTERN))),
-            np.empty(0, np.int32), np.empty((0, 3)), np.empty(0), np.empty(0), np.empty(0),
-            np.empty(0, np.int64), np.empty(0),
-        )  # fmt: skip
+        uv, patterns = np.empty((0, 2)), np.empty((0, len(PATTERN)))
+        hosts, scale = np.empty(0, np.int64), np.empty(0, np.int32)
+        return cls._new(hosts, uv, patterns, patterns, scale, np.inf, np.empty(0), 1.0, 1.0)
 
     @classmethod
     def at(
@@ -120,44 +117,61 @@ class Immature(Pixels):
         host: int,
         uv: np.ndarray,
         scale: np.ndarray,
+        usual: float,
         photometric: PhotometricConfig,
     ) -> Self:
-        """Given pixels (N, 2) of a keyframe; those whose pattern is not all known are left out."""
-        n = len(uv)
-        intensity, weight = patterns(pyramid, uv, photometric)
-        structure = _structure(pyramid, uv)
-        known = (weight > 0).all(axis=1) & np.isfinite(structure).all(axis=1)
-        return cls(
-            np.full(n, host, np.int64), uv, intensity, weight, np.asarray(scale, np.int32), structure,
-            np.zeros(n), np.full(n, np.inf), np.full(n, 1e4), np.full(n, NEW, np.int64),
-            np.full(n, np.inf),
-        ).of(known)  # fmt: skip
+        """Given pixels (N, 2) of a keyframe; those whose pattern is not all known are left out.
 
-    def moved(
-        self, pyramids: dict[int, ImagePyramid], uv: np.ndarray, photometric: PhotometricConfig
-    ) -> "Immature":
-        """See :meth:`Pixels.moved`."""
-        points = super().moved(pyramids, uv, photometric)
-        for host in np.unique(points.host):
-            rows = points.host == host
-            points.structure[rows] = _structure(pyramids[int(host)], points.uv[rows])
-        return points.of(np.isfinite(points.structure).all(axis=1))
+        Args:
+            pyramid, host: of the keyframe, and its row.
+            uv, scale: pixels (N, 2), and (N,) levels on which their gradients stand out.
+            usual: usual inverse depth: mean and standard deviation before any look.
+            photometric: settings.
+        """
+        intensity, weight = patterns(pyramid, uv, photometric)
+        known = (weight > 0).all(axis=1)
+        hosts, scale = np.full(len(uv), host, np.int64), np.asarray(scale, np.int32)
+        square = photometric.gradient_scale**2 * (1.0 / np.where(weight > 0, weight, np.nan) - 1.0)
+        steep = square.mean(axis=1)
+        mean = max(float(np.mean(steep[known])) if known.any() else 1.0, 1e-9)
+        by = unlike(intensity[known])
+        points = cls._new(hosts, uv, intensity, weight, scale, by, steep / mean, np.sqrt(mean), usual)
+        return points.of(known)
+
+    @classmethod
+    def _new(
+        cls,
+        host: np.ndarray,
+        uv: np.ndarray,
+        intensity: np.ndarray,
+        weight: np.ndarray,
+        scale: np.ndarray,
+        unlike_by: float,
+        steep: np.ndarray,
+        slope: float,
+        usual: float,
+    ) -> Self:
+        n = len(host)
+        return cls(
+            host, uv, intensity, weight, scale, np.full(n, unlike_by), steep, np.full(n, slope),
+            np.full(n, usual),
+            np.full(n, usual**2), np.full(n, usual**2), np.full(n, np.inf), np.zeros(n, np.int64),
+            np.zeros(n, np.int64), np.full(n, np.inf), np.zeros(n, bool),
+        )  # fmt: skip
 
     @property
-    def inverse_depth(self) -> np.ndarray:
-        """(N,) middle of the intervals."""
-        return 0.5 * (self.far + self.near)
+    def is_ripe(self) -> np.ndarray:
+        """(N,) bool: the depth can be refined over all keyframes.
 
-    def is_ripe(self, config: ImmatureConfig) -> np.ndarray:
-        """(N,) bool: the depth is certain enough to be refined over all keyframes."""
-        good = np.isin(self.status, (GOOD, CERTAIN, ALONG_EDGE))
-        certain = (self.interval_px < config.activated_px) & np.isfinite(self.near) & (self.near > 0)
-        return good & certain & (self.quality > config.quality)
+        It is likelier right than not, its views rather than its prior say it, and it is known to a pixel.
+        """
+        told = self.variance < _TOLD * self.prior
+        return (self.right > self.wrong) & told & (self.deviation_px < RIPE_PX) & (self.inverse_depth > 0)
 
     @property
     def is_hopeless(self) -> np.ndarray:
-        """(N,) bool: out of the image, or never found."""
-        return np.isin(self.status, (OUTSIDE, OUTLIER))
+        """(N,) bool: out of the last view, or likely wrong: an inlier with less than one in four."""
+        return self.outside | (4 * (self.right + 1) < self.right + self.wrong + 2)
 
     def search(
         self,
@@ -165,28 +179,25 @@ class Immature(Pixels):
         intrinsics: np.ndarray,
         T: np.ndarray,
         affine: np.ndarray,
-        usual: float,
-        config: ImmatureConfig,
+        noise: float,
         photometric: PhotometricConfig,
     ) -> None:
-        """Search all points along their epipolar lines in a view.
+        """Look for all points along their rays in a view.
 
         Args:
             pyramid: of the view.
             intrinsics: (4,) of its finest level.
             T: (S, 4, 4) motion, keyframe to view.
             affine: (S, 2) brightness of the view relative to the keyframes.
-            usual: usual inverse depth.
-            config, photometric: settings.
+            noise: standard deviation of its residuals, of 255.
+            photometric: settings.
         """
-        level = pyramid.levels[0]
-        search(
-            level, intrinsics, PATTERN, self.uv, self.host, self.intensity, self.weight, self.structure,
-            np.ascontiguousarray(T), np.ascontiguousarray(affine), usual,
-            config.most_share * (level.shape[0] + level.shape[1]), config.nearest, config.longest,
-            config.certain_px, config.error_px,
-            config.slope_error_px, config.most_error_px, config.second_px, config.outlier, config.slack,
-            photometric.huber, self.near, self.far, self.quality, self.status, self.interval_px,
+        look(
+            pyramid.levels[0], intrinsics, PATTERN, self.uv, self.host, self.intensity, self.weight,
+            self.unlike, self.steep, self.slope, np.ascontiguousarray(T), np.ascontiguousarray(affine),
+            photometric.huber,
+            photometric.gradient_scale, noise, LEAST_NOISE, POSE_PX, DISTINCT, self.inverse_depth,
+            self.variance, self.floor, self.right, self.wrong, self.deviation_px, self.outside,
         )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from dslab.slam.direct.pyramid import Rectifier
-from dslab.slam.ldso.loss import LossRule
+from dslab.slam.ldso.loss import reason_of_loss
 from dslab.slam.ldso.odometry import Odometry
 from dslab.slam.ldso.start import Starter, Waiting
 
@@ -15,12 +15,10 @@ class Replayed:
 
     Attributes:
         odometry: the map.
-        loss: rule of its loss, which has seen its frames.
         left: rows of the keyframes that have left the window, in order.
     """
 
     odometry: Odometry
-    loss: LossRule
     left: list[int]
 
 
@@ -38,20 +36,18 @@ def replayed(
     Returns:
         None if no map begins, or it is lost on the way.
     """
-    odometry, loss, left = None, LossRule(starter.config.loss), []
+    config, odometry, left = starter.config.loss, None, []
     for item in frames:
         if odometry is None:
             odometry = starter.offer(item, map_id).odometry
             continue
         pyramid = rectifier.pyramid(item.image)
         tracked = odometry.track(pyramid, item.exposure)
-        step = odometry.step_of(tracked)
-        if tracked is None or loss.reason(tracked, step, odometry.depth):
+        if tracked is None or reason_of_loss(tracked, odometry.uncertainty(tracked), config):
             return None
-        loss.tracked(tracked, step, odometry.depth)
         if odometry.take(item.frame, item.stamp_s, pyramid, tracked):
             odometry.add_keyframe(item.frame, item.stamp_s, item.image, pyramid, tracked)
             left += odometry.left
-            if len(odometry.window.active) < starter.config.loss.least_points:
+            if len(odometry.window.active) < config.least_points:
                 return None
-    return None if odometry is None else Replayed(odometry, loss, left)
+    return None if odometry is None else Replayed(odometry, left)

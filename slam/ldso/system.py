@@ -22,7 +22,7 @@ from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.ldso.config import DsoConfig
 from dslab.slam.ldso.corners import corner_view
 from dslab.slam.ldso.loops import LoopCloser
-from dslab.slam.ldso.loss import LossRule
+from dslab.slam.ldso.loss import reason_of_loss
 from dslab.slam.ldso.odometry import Odometry
 from dslab.slam.ldso.replay import Replayed, replayed
 from dslab.slam.ldso.start import Starter, Waiting
@@ -74,7 +74,6 @@ class DsoSlam:
         self._starter = self._new_starter()
         self._maps: dict[int, Odometry] = {}
         self._closers: dict[int, LoopCloser] = {}
-        self._loss = LossRule(self.dso.loss)
         self._timer = StageTimer()
         self._mapping_ms = self._loop_ms = 0.0
         self._last_stamp_s = -np.inf
@@ -128,7 +127,6 @@ class DsoSlam:
             return self._result(index, stamp_s, None, found.matches, found.reason)
         self._take_map(found.odometry)
         self.state = TrackingState.TRACKING
-        self._loss = LossRule(self.dso.loss)
         points = len(found.odometry.window.active)
         self._emit(index, stamp_s, ev.Initialized, points=points, model=found.model)
         if self.current_map_id:
@@ -143,12 +141,11 @@ class DsoSlam:
             pyramid = self._rectifier.pyramid(image)
         with self._timer("align"):
             tracked = odometry.track(pyramid, item.exposure)
-        step = odometry.step_of(tracked)
-        reason = self._loss.reason(tracked, step, odometry.depth)
+        uncertainty = odometry.uncertainty(tracked) if tracked is not None else np.inf
+        reason = reason_of_loss(tracked, uncertainty, self.dso.loss)
         if tracked is None or reason:
             self._break(index, stamp_s, odometry, reason)
             return self._result(index, stamp_s, None, 0, reason)
-        self._loss.tracked(tracked, step, odometry.depth)
         with self._timer("search"):
             wanted = odometry.take(index, stamp_s, pyramid, tracked)
         if wanted:
@@ -224,7 +221,6 @@ class DsoSlam:
         self._starter.reset()
         if found is None or not set(odometry.frames) <= set(found.odometry.frames):
             return None
-        self._loss = found.loss
         self._take_map(found.odometry)
         return found
 

@@ -9,21 +9,20 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from dslab.slam.direct._alignment_kernels import PATTERN, likeness, sample_patterns
+from dslab.slam.direct._alignment_kernels import PATTERN, residual_bound, sample_patterns
 from dslab.slam.direct.pyramid import ImagePyramid
 from dslab.slam.ldso._reference_kernels import gather, halved_sums, splat
-from dslab.slam.ldso._tracking_kernels import mean_squared_flow, refine, widened_cutoff
+from dslab.slam.ldso._tracking_kernels import mean_squared_flow, refine, typical_likeness
 from dslab.slam.ldso.config import DirectTrackingConfig, KeyframeConfig, PhotometricConfig
 
 _ONE_PIXEL = np.zeros((1, 2))
 _MARGIN_PX = 3
+SURE = 0.9
+"""Likeness with which no other guess is tried: noise has a tenth of the contrast's variance."""
 _STILL_PX = 0.05  # a smaller step is none
 _LEAST_PIXELS = 50
 _GRADIENT_SCALE = 50.0
 _PATCHES = 500  # by which likeness is judged
-_COARSE = (
-    2  # from this level on a pixel shares its depth with its direct neighbours, else with the diagonal ones
-)
 
 
 @dataclass(frozen=True)
@@ -82,7 +81,7 @@ class TrackingReference:
         for number, level in enumerate(pyramid.levels):
             if number:
                 total, mass = halved_sums(total), halved_sums(mass)
-            levels.append(_pixels(total, mass, level, number))
+            levels.append(_pixels(total, mass, level))
         self.levels = tuple(levels)
         self.patches = _patches(levels[0], pyramid.levels[0])
         self.depth = 1.0 / float(np.median(inverse_depth)) if len(inverse_depth) else 1.0
@@ -110,6 +109,24 @@ class TrackingReference:
 
 
 @dataclass(frozen=True)
+class Expected:
+    """Where a frame is expected.
+
+    Attributes:
+        T_frame_ref: (4, 4) motion from the keyframe.
+        information: (6, 6) on a motion from there, translations in usual depths.
+        variance: of a pixel's residuals as far as they count for this.
+    """
+
+    T_frame_ref: np.ndarray
+    information: np.ndarray
+    variance: float
+
+
+_ANYWHERE = Expected(np.eye(4), np.zeros((6, 6)), 1.0)
+
+
+@dataclass(frozen=True)
 class Tracked:
     """Motion of a frame relative to a keyframe.
 
@@ -118,9 +135,11 @@ class Tracked:
         affine: (2,) its brightness relative to the keyframe's.
         error: root of the mean Huber cost of a pixel on the finest level, of 255.
         visible: share of the keyframe's pixels that the frame shows.
-        saturated: share of these whose residual is beyond the cutoff.
-        likeness: correlation of the two views within the patterns, -1 to 1, which no brightness can feign.
+        saturated: share of these whose residual is beyond their bound.
+        likeness: median correlation of the views within a pattern, -1 to 1, which no brightness can feign.
         flow_px: root of the mean squared motion of the pixels by the translation alone, and by all of it.
+        information: (6, 6) of the images on the motion, brightness taken out, translations in usual depths,
+            for residuals of unit variance.
     """
 
     T_frame_ref: np.ndarray
@@ -130,6 +149,7 @@ class Tracked:
     saturated: float
     likeness: float
     flow_px: tuple[float, float]
+    information: np.ndarray
 
     def demand(self, width: int, height: int, config: KeyframeConfig) -> float:
         """How much the view has changed: a keyframe is wanted beyond 1."""
@@ -158,8 +178,9 @@ class PhotometricTracker:
         pyramid: ImagePyramid,
         guesses: Iterable[np.ndarray],
         affine: np.ndarray,
-        usual_error: float,
+        usual_likeness: float,
         exposure: float = 0.0,
+        expected: Expected = _ANYWHERE,
     ) -> Tracked | None:
         """Align a frame, coarse to fine, from one guess after another until one explains the image.
 
@@ -168,18 +189,19 @@ class PhotometricTracker:
             pyramid: of the frame.
             guesses: (4, 4) motions, keyframe to frame, the likeliest first.
             affine: (2,) brightness at first.
-            usual_error: error up to which a result is taken without trying other guesses.
+            usual_likeness: with which a result is taken without trying other guesses.
             exposure: logarithm of the frame's exposure over the keyframe's, by which a is expected.
+            expected: where the frame is.
 
         Returns:
             The best alignment; None if the views have too little in common.
         """
         best = None
         for T in guesses:
-            found = self._align(reference, pyramid, T, affine, exposure)
+            found = self._align(reference, pyramid, T, affine, exposure, expected)
             if found is not None and (best is None or _badness(found) < _badness(best)):
                 best = found
-            if best is not None and best.error <= usual_error and best.saturated < self.config.most_saturated:
+            if best is not None and best.likeness >= usual_likeness:
                 break
         return best
 
@@ -190,12 +212,13 @@ class PhotometricTracker:
         guess: np.ndarray,
         affine: np.ndarray,
         exposure: float,
+        expected: Expected,
     ) -> Tracked | None:
         config, huber = self.config, self._photometric.huber
         T, affine = np.array(guess, float), np.array(affine, float)
         affine[0] -= exposure  # of the keyframe as it would be with the frame's exposure
         exposed = float(np.exp(exposure))
-        cost, seen, saturated = np.inf, 0, 0
+        cost, seen, saturated, H = np.inf, 0, 0, np.zeros((8, 8))
         for number in range(len(pyramid) - 1, -1, -1):
             p, camera = reference.levels[number], reference.intrinsics[number]
             if len(p.uv) < _LEAST_PIXELS:
@@ -203,19 +226,17 @@ class PhotometricTracker:
             level = pyramid.levels[number]
             intensity = p.intensity if exposed == 1.0 else exposed * p.intensity
             pixels = p.uv, p.inverse_depth, _ONE_PIXEL, intensity, p.weight
-            most = config.cutoff * config.most_cutoff_factor
-            cutoff = widened_cutoff(
-                level, camera, *pixels, T, affine, huber, config.cutoff, config.most_saturated, most
-            )
+            cutoff = residual_bound(level, camera, *pixels, T, affine, huber)
             cost, seen, saturated = refine(
-                level, camera, *pixels, T, affine, self._prior, huber, cutoff, config.iterations,
-                reference.depth, _STILL_PX / camera[0],
+                level, camera, *pixels, T, affine, self._prior, expected.T_frame_ref, expected.information,
+                expected.variance, huber, cutoff, config.iterations, reference.depth,
+                _STILL_PX / camera[0], H,
             )  # fmt: skip
         finest = reference.levels[0]
         if seen < _LEAST_PIXELS or not np.isfinite(T).all():
             return None
         some = reference.patches
-        alike = likeness(
+        alike = typical_likeness(
             pyramid.levels[0], reference.intrinsics[0], some.uv, some.inverse_depth, PATTERN, some.intensity,
             some.weight, T,
         )  # fmt: skip
@@ -229,18 +250,27 @@ class PhotometricTracker:
             saturated / seen,
             float(alike),
             (float(np.sqrt(alone)), float(np.sqrt(whole))),
+            _of_images(H),
         )
 
 
+def _of_images(H: np.ndarray) -> np.ndarray:
+    """(6, 6) what images say of a motion, by their information (8, 8) on it and on the brightness."""
+    brightness = H[6:, 6:] + 1e-9 * np.eye(2)
+    by_images = H[:6, :6] - H[:6, 6:] @ np.linalg.solve(brightness, H[6:, :6])
+    values, vectors = np.linalg.eigh(0.5 * (by_images + by_images.T))
+    return vectors * np.maximum(values, 0.0) @ vectors.T
+
+
 def _badness(found: Tracked) -> float:
-    """Error of an alignment; one that looks away from most of the points is worse."""
-    return found.error / max(found.visible, 1e-3)
+    """How unlike the views are; an alignment that looks away from most of the points is worse."""
+    return (1.0 - found.likeness) / max(found.visible, 1e-3)
 
 
-def _pixels(total: np.ndarray, mass: np.ndarray, level: np.ndarray, number: int) -> LevelPixels:
+def _pixels(total: np.ndarray, mass: np.ndarray, level: np.ndarray) -> LevelPixels:
     most = total.size
     uv, inverse_depth, intensity = np.empty((most, 2)), np.empty(most), np.empty(most)
-    n = gather(total, mass, level, number < _COARSE, _MARGIN_PX, uv, inverse_depth, intensity)
+    n = gather(total, mass, level, _MARGIN_PX, uv, inverse_depth, intensity)
     return LevelPixels(uv[:n].copy(), inverse_depth[:n].copy(), intensity[:n, None].copy(), np.ones((n, 1)))
 
 

@@ -1,7 +1,6 @@
 """Window of keyframes: their images, poses, brightness, points, and what is left of those that went.
 
 Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3 and 3.1.
-Where it says less, the bounds of outliers follow the authors' public code.
 """
 
 from collections.abc import Iterator
@@ -76,7 +75,7 @@ class Window:
         delta: (S, 8) step from the first estimates.
         outlier: (S,) cost of a pattern beyond which it is not that surface.
         active, immature: points.
-        gone: (S,) number of points of each keyframe that were marginalised or dropped.
+        gone: (S,) number of points of each keyframe that were active and left.
         prior_H, prior_b: (8 S, 8 S) and (8 S,) what marginalised keyframes and points say, about the first
             estimates.
     """
@@ -223,3 +222,23 @@ class Window:
         X, d = X[ahead], d[ahead]
         uv = X[:, :2] / X[:, 2:] * [fx, fy] + [cx, cy]
         return uv, d / X[:, 2], p.information[rows][ahead]
+
+
+def bound_of(energy: np.ndarray, points: Active, huber: float) -> float:
+    """Cost of a pattern beyond which it more likely shows another surface than its own.
+
+    The cost of normal residuals is on average e₀ on their own surface, and e₁ between unlike patterns. The
+    log-odds of the two, log(e₁ / e₀) - E (1 / e₀ - 1 / e₁) per pixel, are nought at the bound, whatever the
+    number of independent pixels. It lies between e₀ and e₁, so that loose bounds do not loosen further.
+
+    Args:
+        energy: (N,) costs of the patterns of one keyframe; e₀ is their median.
+        points: of which each is unlike another far from it in the list.
+        huber: residual beyond which it counts linearly.
+    """
+    off = np.abs(points.intensity - np.roll(points.intensity, len(points) // 2, axis=0))
+    costs = np.where(off <= huber, off * off, huber * (2.0 * off - huber))
+    own, other = float(np.median(energy)), float(np.median((points.weight * costs).sum(axis=1)))
+    if not 0.0 < own < other:
+        return other
+    return float(np.log(other / own) / (1.0 / own - 1.0 / other))

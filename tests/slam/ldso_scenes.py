@@ -66,8 +66,8 @@ POSES = [
 
 def selected(pyramid, host):
     """Selected pixels of a keyframe, of unknown depth."""
-    found = select(pyramid, CONFIG.immature.selection)
-    return Immature.at(pyramid, host, found.xy.astype(float), found.scale, CONFIG.photometric)
+    found = select(pyramid, CONFIG.selection)
+    return Immature.at(pyramid, host, found.xy.astype(float), found.scale, 0.5, CONFIG.photometric)
 
 
 def window_of(poses=POSES, points=300, seed=0):

@@ -152,10 +152,10 @@ def test_the_command_takes_the_settings(dslab, tmp_path):
 
 @pytest.mark.parametrize("kind", ["dso", "ldso"])
 def test_settings_reach_direct_sparse_odometry(tmp_path, kind):
-    text = "loops: {min_gap: 7}\ndso: {window: {points: 900}, immature: {selection: {points: 700}}}\n"
+    text = "loops: {min_gap: 7}\ndso: {window: {points: 900}, selection: {points: 700}}\n"
     system = factory_of(read(tmp_path, text))(kind, CAMERA, 0)
     assert system.config.loops.min_gap == 7
-    assert system.dso.window.points == 900 and system.dso.immature.selection.points == 700
+    assert system.dso.window.points == 900 and system.dso.selection.points == 700
     assert system.dso.window.most == WindowConfig().most
     again = read(tmp_path, to_json({"sequence": "x", "config": system.settings}))
     assert factory_of(again)(kind, CAMERA, 0).settings == system.settings

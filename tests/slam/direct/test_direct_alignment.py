@@ -12,6 +12,7 @@ from dslab.slam.direct._alignment_kernels import (
     linearise,
     mean_costs,
     model_of_step,
+    residual_bound,
     residual_energy,
     sample_patterns,
 )
@@ -120,6 +121,10 @@ def test_kernels_equal_their_twins(level):
     # It needs no gradients, which are unknown one pixel farther in from what is unknown itself.
     assert 0 <= alone[1] - found[1] < 0.05 * found[1]
     np.testing.assert_allclose(alone[0] / alone[1], found[0] / found[1], rtol=0.05)
+    bound = residual_bound(target, camera, *args, PATTERN, *patches, T, affine, 0.0)
+    deviation = bound / 3
+    within = residual_energy(target, camera, *args, PATTERN, *patches, T, affine, HUBER, deviation / 1.4826)
+    assert within[2] == pytest.approx(0.5 * within[1], abs=1)
 
 
 @njit

@@ -59,9 +59,9 @@ def point_without_depth(system):
     newest(system).window.active.inverse_depth[0] = -1.0
 
 
-def empty_interval(system):
+def negative_variance(system):
     waiting = newest(system).window.immature
-    waiting.far[0], waiting.near[0] = 2.0, 1.0
+    waiting.variance[0] = -1.0
 
 
 def brightness_of_nothing(system):
@@ -93,7 +93,7 @@ BROKEN = [
     (pose_that_is_none, "the pose of a frame"),
     (point_of_a_keyframe_that_has_left, "has left"),
     (point_without_depth, "no depth"),
-    (empty_interval, "is empty"),
+    (negative_variance, "is none"),
     (brightness_of_nothing, "affine of the window"),
     (prior_of_a_keyframe_that_has_left, "held by what was marginalised"),
     (no_current_map, "the current map"),

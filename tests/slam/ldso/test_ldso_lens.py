@@ -80,7 +80,8 @@ def test_the_model_is_the_derivative_of_the_cost(monkeypatch):
         e = np.zeros(4)
         e[k] = h
         numeric = (cost(e) - cost(-e)) / (4 * h)
-        assert numeric == pytest.approx(model.b[k], rel=2e-3, abs=2e-3 * np.abs(model.b).max())
+        # Terms of thousands cancel, of which images of single precision leave a thousandth.
+        assert numeric == pytest.approx(model.b[k], abs=1e-2 * np.abs(model.b).max())
 
 
 def test_elimination_equals_a_dense_one():

@@ -8,6 +8,8 @@ from dslab.slam.direct._alignment_kernels import PATTERN
 from dslab.slam.ldso.adjustment import adjust, gauge
 from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_points, without
 from dslab.slam.ldso.model import model_of
+from dslab.slam.ldso.points import Active
+from dslab.slam.ldso.window import bound_of
 
 PHOTOMETRIC = CONFIG.photometric
 
@@ -221,13 +223,50 @@ def test_a_marginalised_keyframe_holds_the_others_where_they_were():
         assert np.abs(window.T_cam_map[s] - there[s]).max() < 2e-3
 
 
-def test_a_keyframe_without_points_leaves_first():
+def test_the_paper_says_which_keyframe_leaves():
+    """One whose points are out of view, else the one of the largest distance score, the newest two never."""
     window = window_of([motion([0.03 * k, 0, 0, 0, 0, 0]) for k in range(7)], 350)
     new = motion([0.3, 0, 0, 0, 0, 0])
-    out = leaving(window, new, np.zeros(2))
-    assert len(out) == 1 and out[0] != window.newest
+    (out,) = leaving(window, new)
+    centres = [-window.T_cam_map[s][:3, 3] for s in window.slots]
+    at = -new[:3, 3]
+
+    def score(i):
+        others = [np.linalg.norm(centres[i] - c) for k, c in enumerate(centres) if k != i]
+        return np.sqrt(np.linalg.norm(centres[i] - at)) * sum(1 / d for d in others)
+
+    assert out == window.slots[max(range(6), key=score)]
     few = window.slots[2]
-    rows = window.active.host == few
-    window.drop_points(rows)
-    assert leaving(window, new, np.zeros(2)) == [few]
-    assert leaving(window, new, np.array([1.5, 0.0]))[0] == window.slots[0]
+    own = np.flatnonzero(window.active.host == few)
+    kept = len(own) // 25  # of all that it ever had, whether these are in view or not
+    window.drop_points(np.isin(np.arange(len(window.active)), own[kept:]))
+    assert leaving(window, new) == [few]
+    behind = motion([0, 0, 0, 0, np.pi, 0])
+    assert leaving(window, behind)[:2] == window.slots[:2]
+    assert not set(leaving(window, behind)) & set(window.slots[-1:])
+
+
+def test_the_bound_of_outliers_holds_most_patterns_whatever_share_is_another_surface():
+    rng = np.random.default_rng(3)
+    good = 4.0 * rng.chisquare(8, 1000)
+    unlike = _unlike(rng, 40.0)
+    for share in (0, 100, 400):
+        bound = bound_of(np.concatenate([good, rng.uniform(2000, 20000, share)]), unlike, PHOTOMETRIC.huber)
+        assert (good <= bound).mean() > 0.97 and bound < 600
+
+
+def test_the_bound_of_outliers_is_that_of_even_odds_and_never_beyond_what_unlike_patterns_cost():
+    unlike = _unlike(np.random.default_rng(3), 2.0)  # below Huber's bound: squares
+    other = np.median(((unlike.intensity - np.roll(unlike.intensity, 250, axis=0)) ** 2).sum(axis=1))
+    for own in (0.1 * other, 0.5 * other):
+        bound = bound_of(np.full(9, own), unlike, PHOTOMETRIC.huber)
+        assert own < bound < other
+        assert np.log(other / own) == pytest.approx(bound * (1 / own - 1 / other))
+    assert bound_of(np.full(9, 3 * other), unlike, PHOTOMETRIC.huber) == pytest.approx(other)
+
+
+def _unlike(rng, contrast):
+    points = Active.none(7)
+    points.host, points.intensity = np.zeros(500, int), rng.normal(100, contrast, (500, 8))
+    points.weight = np.ones((500, 8))
+    return points
