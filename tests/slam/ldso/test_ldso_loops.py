@@ -174,7 +174,7 @@ def test_a_loops_scale_counts_as_much_as_it_is_told():
     assert change[0] > 0.009 and change[1] < 0.5 * change[0]
 
 
-TURNS, COUNT, BRANCH = 1.15, 150, 120
+TURNS, COUNT, BRANCH = 1.25, 163, 120
 WRONG = replace(CAMERA, fx=1.01 * CAMERA.fx, fy=1.01 * CAMERA.fy)  # by which a round is not closed
 
 
