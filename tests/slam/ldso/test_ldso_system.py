@@ -74,7 +74,9 @@ def test_a_snapshot_goes_on_bit_for_bit():
 @pytest.mark.parametrize("known", [True, False])
 @pytest.mark.slow
 def test_brightness_is_expected_to_follow_known_exposures(known):
-    """Every fourth image is exposed a fifth as long, and brightness hardly differs from what is expected."""
+    """Every fourth image is exposed a fifth as long; brightness must hardly differ from what is expected, and
+    where exposures are not known the path is wrong.
+    """
     settings = DsoConfig(photometric=PhotometricConfig(gain_sigma=1e-5))
     system, centres = DsoSlam(CAMERA, 3, dso=settings), []
     for k, (image, stamp_s, T_world_cam) in enumerate(toy_frames(40, step_m=0.04)):
@@ -84,8 +86,8 @@ def test_brightness_is_expected_to_follow_known_exposures(known):
         centres.append(T_world_cam[:3, 3])
     paths = system.trajectories()
     whole = len(paths) == 1 and len(paths[0].frames) == 40
-    assert whole == known
-    assert not known or position_error(paths[0], np.array(centres)) < 0.002
+    right = whole and position_error(paths[0], np.array(centres)) < 0.0015
+    assert right == known
 
 
 def test_misuse_raises():
