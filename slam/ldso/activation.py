@@ -13,7 +13,7 @@ from dslab.slam.ldso.config import PhotometricConfig
 from dslab.slam.ldso.points import Active, Immature
 from dslab.slam.ldso.window import Window
 
-_PATTERN_PX = 4
+_PATTERN_PX = 4  # between the outer pixels of a pattern
 _LEAST_INFORMATION = 100.0
 """Of a depth in units of the usual one, for residuals of unit variance: with residuals of four grey levels a
 depth is known to two fifths of the usual one."""
