@@ -32,8 +32,8 @@ def wall(x, y):
     return 2.0 + 0.25 * np.sin(2.0 * x) + 0.2 * np.cos(1.5 * y) + 0.2 * x
 
 
-def depth_of(T_cam_map):
-    """(H, W) exact depth, and (H, W, 2) place on the wall."""
+def depth_of(T_cam_map, surface=wall):
+    """(H, W) exact depth, and (H, W, 2) place on a surface, by its depth at places."""
     y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     rays = np.stack([(x - CAMERA.cx) / CAMERA.fx, (y - CAMERA.cy) / CAMERA.fy, np.ones_like(x)], axis=-1)
     R, centre = T_cam_map[:3, :3].T, -T_cam_map[:3, :3].T @ T_cam_map[:3, 3]
@@ -41,7 +41,7 @@ def depth_of(T_cam_map):
     depth = np.full((HEIGHT, WIDTH), 2.0)
     for _ in range(60):
         at = centre + depth[..., None] * d
-        depth -= 0.7 * (at[..., 2] - wall(at[..., 0], at[..., 1])) / d[..., 2]
+        depth -= 0.7 * (at[..., 2] - surface(at[..., 0], at[..., 1])) / d[..., 2]
     return depth, (centre + depth[..., None] * d)[..., :2]
 
 

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 import pytest
-from ldso_scenes import CAMERA, CONFIG, HEIGHT, INTRINSICS, RECTIFIER, WIDTH, motion
+from ldso_scenes import CAMERA, CONFIG, HEIGHT, INTRINSICS, RECTIFIER, WIDTH, depth_of, motion
 
 from dslab.slam.ldso.first_depths import IntensityStart
 
@@ -17,16 +17,8 @@ def surface(x, y, slant, relief):
 
 def view(T, slant, relief, contrast):
     """Image of soft shading on a surface, and its depth."""
-    y, x = np.mgrid[:HEIGHT, :WIDTH].astype(float)
-    rays = np.stack([(x - CAMERA.cx) / CAMERA.fx, (y - CAMERA.cy) / CAMERA.fy, np.ones_like(x)], axis=-1)
-    R, centre = T[:3, :3].T, -T[:3, :3].T @ T[:3, 3]
-    d = rays @ R.T
-    depth = np.full((HEIGHT, WIDTH), 2.0)
-    for _ in range(80):
-        at = centre + depth[..., None] * d
-        depth -= 0.6 * (at[..., 2] - surface(at[..., 0], at[..., 1], slant, relief)) / d[..., 2]
-    at = centre + depth[..., None] * d
-    place = (100 * at[..., :2] + 350).astype(np.float32)
+    depth, at = depth_of(T, lambda x, y: surface(x, y, slant, relief))
+    place = (100 * at + 350).astype(np.float32)
     shade = cv2.remap(_SHADING, place[..., 0], place[..., 1], cv2.INTER_CUBIC, None, cv2.BORDER_REFLECT)
     return np.clip(120 + contrast * shade, 0, 255).astype(np.uint8), depth
 
