@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from dslab.slam.direct._alignment_kernels import _bilinear, _bilinear_all
+from dslab.slam.direct._alignment_kernels import _bilinear_all
 
 _REACH = 3.0  # standard deviations
 _LONGEST_PX = 128  # of a line that is searched: it bounds the time, not what is believed
@@ -48,7 +48,8 @@ def look(
     fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
     count = pattern.shape[0]
     of_frame = max(noise * noise - least_noise * least_noise, 0.0)
-    warped, costs = np.empty((count, 2)), np.empty(_LONGEST_PX + 4)
+    warped, expected, costs = np.empty((count, 2)), np.empty(count), np.empty(_LONGEST_PX + 4)
+    plane = np.ascontiguousarray(level[:, :, 0]).ravel()
     for i in range(uv.shape[0]):
         h = host[i]
         variance_of_noise = least_noise * least_noise + of_frame * steep[i]
@@ -94,21 +95,21 @@ def look(
         # which is no more than the sum of w g² = c² (1 - w) over the host's pattern.
         total = weight[i].sum()
         least = bar + 0.25 * (gain * gradient_scale) ** 2 * (count - total)
+        for k in range(count):
+            expected[k] = gain * intensity[i, k]
+        _costs(
+            plane, level.shape[1], u0, v0, ex, ey, first, step, warped, expected, weight[i], offset, huber,
+            costs[:steps],
+        )  # fmt: skip
         best, at = np.inf, -1
         for s in range(steps):
-            place = first + s * step
-            costs[s] = _cost(
-                level, u0 + place * ex, v0 + place * ey, warped, intensity[i], weight[i], gain, offset, huber,
-                best + least,
-            )  # fmt: skip
             if costs[s] < best:
                 best, at = costs[s], s
         if at < 0:
             outside[i] = True
             continue
         place, best, H, cross = _refined(
-            level, u0, v0, ex, ey, first + at * step, warped, intensity[i], weight[i], gain, offset,
-            huber,
+            level, u0, v0, ex, ey, first + at * step, warped, expected, weight[i], offset, huber,
         )  # fmt: skip
         odds = total * (np.log(unlike[i]) - 0.5 * np.log(variance_of_noise))
         odds -= 0.5 * best * (1.0 / variance_of_noise - 1.0 / (unlike[i] * unlike[i]))
@@ -122,8 +123,7 @@ def look(
         for s in range(steps):
             if abs(first + s * step - place) > apart and costs[s] < best + least:
                 other, cost, _, _ = _refined(
-                    level, u0, v0, ex, ey, first + s * step, warped, intensity[i], weight[i], gain,
-                    offset, huber,
+                    level, u0, v0, ex, ey, first + s * step, warped, expected, weight[i], offset, huber,
                 )  # fmt: skip
                 if cost < best + bar and abs(other - place) > apart:
                     clear = False
@@ -167,23 +167,44 @@ def _along(d, px, py, pz, tx, ty, tz, fx, fy, a, b, ex, ey):
 
 
 @njit(cache=True, nogil=True)
-def _cost(level, u, v, warped, intensity, weight, gain, offset, huber, most):
-    """Sum of the weighted Huber costs of a pattern at a place; infinite out of the image or beyond most."""
-    cost = 0.0
-    right, bottom = level.shape[1] - 1.0, level.shape[0] - 1.0
+def _costs(plane, width, u, v, ex, ey, first, step, warped, expected, weight, offset, huber, costs):
+    """Sums of the weighted Huber costs of a pattern at places on a line.
+
+    Args:
+        plane: (H W,) intensities of the view, of this width.
+        u, v, ex, ey: pixel at nought, and unit vector along the line.
+        first, step: places, px.
+        warped, expected, weight: (K, 2), (K,), (K,) of the pattern in the view.
+        offset: of the brightness; huber as in :func:`look`.
+        costs: (S,) written; infinite out of the image.
+    """
+    right, bottom = width - 1.0, plane.shape[0] // width - 1.0
+    begin, end = costs.shape[0], 0
+    for s in range(costs.shape[0]):
+        place, inside = first + s * step, True
+        for k in range(warped.shape[0]):
+            x, y = (u + place * ex) + warped[k, 0], (v + place * ey) + warped[k, 1]
+            inside = inside and 0.0 <= x < right and 0.0 <= y < bottom
+        costs[s] = 0.0 if inside else np.inf
+        if inside:
+            begin, end = min(begin, s), s + 1
     for k in range(warped.shape[0]):
-        x, y = u + warped[k, 0], v + warped[k, 1]
-        if not (0.0 <= x < right and 0.0 <= y < bottom):
-            return np.inf
-        r = abs(_bilinear(level, x, y, 0) - gain * intensity[k] - offset)
-        cost += weight[k] * (r * r if r <= huber else huber * (2.0 * r - huber))
-        if not cost < most:  # NaN as well
-            return np.inf
-    return cost
+        for s in range(begin, end):
+            place = first + s * step
+            x, y = (u + place * ex) + warped[k, 0], (v + place * ey) + warped[k, 1]
+            left, top = np.int32(x), np.int32(y)
+            fx, fy = x - left, y - top
+            i = np.int64(top) * width + left
+            a, b = plane[np.uint64(i)], plane[np.uint64(i + 1)]
+            c, d = plane[np.uint64(i + width)], plane[np.uint64(i + width + 1)]
+            there = (1.0 - fy) * ((1.0 - fx) * a + fx * b) + fy * ((1.0 - fx) * c + fx * d)
+            r = abs(there - expected[k] - offset)
+            within = min(r, huber)
+            costs[s] += weight[k] * (within * (2.0 * r - within))
 
 
 @njit(cache=True, nogil=True)
-def _refined(level, u0, v0, ex, ey, place, warped, intensity, weight, gain, offset, huber):
+def _refined(level, u0, v0, ex, ey, place, warped, expected, weight, offset, huber):
     """Steps of Gauss and Newton along the line; the best place with its cost, eᵀGe and eᵀGn there."""
     best, H, cross = np.inf, 0.0, 0.0
     at = place
@@ -195,11 +216,12 @@ def _refined(level, u0, v0, ex, ey, place, warped, intensity, weight, gain, offs
             if not (0.0 <= x < right and 0.0 <= y < bottom):
                 return place, best, H, cross
             there, gx, gy = _bilinear_all(level, x, y)
-            r = there - gain * intensity[k] - offset
+            r = there - expected[k] - offset
             along, across = ex * gx + ey * gy, ex * gy - ey * gx
             size = abs(r)
-            cost += weight[k] * (size * size if size <= huber else huber * (2.0 * size - huber))
-            w = weight[k] * (1.0 if size <= huber else huber / size)
+            within = min(size, huber)
+            cost += weight[k] * (within * (2.0 * size - within))
+            w = weight[k] * (huber / max(size, huber))
             g += w * along * r
             h += w * along * along
             c += w * along * across
