@@ -6,6 +6,7 @@ from dslab.slam.config import SlamConfig, default_config
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.dual_slam import DualSlam
+from dslab.slam.framework.odometry import Parts
 from dslab.slam.ldso.config import DsoConfig
 from dslab.slam.ldso.system import DsoSlam
 from dslab.slam.orbslam import orbslam_config
@@ -16,7 +17,13 @@ SYSTEMS = ("base", "dual", "dual+", "orbslam", "paper", "paper+", "dso", "ldso")
 DIRECT = ("dso", "ldso")
 ONE_MAP = ("base", "orbslam")
 PAPERS = ("paper", "paper+")
+DUAL = ("dual", "dual+", *PAPERS)
 OwnSystem = MonocularSystem | DsoSlam
+
+
+def parts_of(kind: str) -> Parts:
+    """Which parts of the protocol of :mod:`slam.framework` a system has."""
+    return Parts(losses=True, returns=kind not in DIRECT, points=True, exposures=kind in DIRECT)
 
 
 def default_settings(kind: str, camera: PinholeCamera) -> tuple[SlamConfig, DualConfig]:

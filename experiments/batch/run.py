@@ -27,8 +27,14 @@ from dslab.experiments.runs.inputs import hashed
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.sources import is_recorded, open_sequence
-from dslab.experiments.runs.systems.command import CommandSystem
-from dslab.experiments.runs.systems.registry import Registry, System, system_digest
+from dslab.experiments.runs.systems.registry import (
+    Registry,
+    System,
+    check_startable,
+    programs_of,
+    system_digest,
+    takes_real_time,
+)
 from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.input_files import is_given
@@ -114,8 +120,7 @@ def run_batch(
     check_once("systems", {name: system_identity(system) for name, system in systems.items()})
     check_once("names of systems", {name: system.name for name, system in systems.items()})
     for system in systems.values():
-        if isinstance(system, CommandSystem):
-            system.check()
+        check_startable(system)
     contents: dict[str, str] = {}
     for source in sources:
         contents[source] = sequence_digest(source)
@@ -268,7 +273,6 @@ def _jobs(
                     "code": code,
                     "commit": head,
                 }
-                is_program = isinstance(system, CommandSystem)
-                alone = system.takes_real_time if is_program else spec.real_time
+                alone = takes_real_time(system) if programs_of(system) else spec.real_time
                 found.append(Job(spec, named, about, folders, (folder / place).absolute(), alone))
     return found

@@ -14,7 +14,14 @@ from dslab.experiments.jobs.pool import Pool, PoolSettings, open_pool
 from dslab.experiments.runs.provenance import usable_cores
 from dslab.experiments.runs.systems.command import CommandSystem
 from dslab.experiments.runs.systems.own_class import ClassSystem
-from dslab.experiments.runs.systems.registry import Registry, System, system_digest
+from dslab.experiments.runs.systems.registry import (
+    DualSystem,
+    Registry,
+    System,
+    check_startable,
+    system_digest,
+    takes_real_time,
+)
 from dslab.scenarios.errors import InputError
 
 TIME_S, MEMORY_MB = 1800.0, 4000
@@ -67,10 +74,10 @@ def unit_workers(
     """
     folders = tuple(folder.absolute() for folder in folders)
     systems = find_systems(spec, folders)
-    alone = any(map(_takes_real_time, systems.values()))
+    alone = any(map(takes_real_time, systems.values()))
     settings = PoolSettings(workers or (1 if alone else usable_cores()), scheduler, time_s, memory_mb or None)
     for name, system in systems.items():
-        if _takes_real_time(system) and (settings.workers > 1 or scheduler is not None):
+        if takes_real_time(system) and (settings.workers > 1 or scheduler is not None):
             problem = f"{name} takes frames in real time, and what runs beside it changes what it does"
             raise InputError("--workers", problem, "give --workers 1, or leave out what is not in real time")
         if (needed_s := _longest_s(spec, system)) > time_s:
@@ -94,19 +101,16 @@ def find_systems(spec: ExperimentSpec, folders: Iterable[Path] = ()) -> dict[str
         except InputError as error:
             where = f"experiment {spec.name}: systems" if error.where == "--system" else error.where
             raise InputError(where, error.problem, error.remedy) from None
-        if isinstance(system, CommandSystem):
-            system.check()
+        check_startable(system)
         found[system_label(named)] = system
     return found
-
-
-def _takes_real_time(system: System) -> bool:
-    return isinstance(system, CommandSystem) and system.takes_real_time
 
 
 def _longest_s(spec: ExperimentSpec, system: System) -> float:
     """Longest duration of a unit's runs by their own limits; 0 of our systems, which have none."""
     whole_s = spec.lead_in_s + spec.exposed_s + spec.tail_s
+    if isinstance(system, DualSystem):
+        return 2 * sum(_longest_s(spec, part) for part in system.parts)
     if isinstance(system, CommandSystem):
         limits, runs, fed_s = system.spec.limits, 2, spec.lead_in_s + whole_s
     elif isinstance(system, ClassSystem):

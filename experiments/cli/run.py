@@ -151,13 +151,11 @@ def run_command(
 
 def _check_startable(chosen: "dict[str, System]", maps: bool) -> None:
     """Check, before frames are rendered, that programs are there, and that maps are asked of ours only."""
-    from dslab.experiments.runs.systems.command import CommandSystem
-    from dslab.experiments.runs.systems.registry import OwnSystem
+    from dslab.experiments.runs.systems.registry import OwnSystem, check_startable
     from dslab.slam.factory import DIRECT
 
     for system in chosen.values():
-        if isinstance(system, CommandSystem):
-            system.check()
+        check_startable(system)
         if maps and (not isinstance(system, OwnSystem) or system.name in DIRECT):
             raise InputError("--map", f"of {system.name} only poses are known", "leave out --map")
 

@@ -31,7 +31,7 @@ _OURS = {
 
 @app.command("list")
 def list_command(systems_dir: SystemsOption = None) -> None:
-    """List every system with what it is and whether it can be run.
+    """List every system: what it is, which parts of Dual-SLAM's protocol it has, and whether it can be run.
 
     Beside ours: programs that a YAML file describes, in the lab or in the folders of `--systems` and
     `DSLAB_SYSTEMS`, and classes that installed packages bring (entry points `dslab.systems`). For example:
@@ -125,16 +125,20 @@ def install_command(
 
 def _described(registry: "Registry", name: str) -> dict[str, str]:
     from dslab.experiments.runs.systems.command import CommandSystem
+    from dslab.experiments.runs.systems.framework import parts
+    from dslab.experiments.runs.systems.own_class import ClassSystem
     from dslab.experiments.runs.systems.registry import OwnSystem
 
     try:
         system = registry.find(name)
     except InputError as fault:
-        return {"what": "-", "state": str(fault)}
+        return {"what": "-", "parts": "-", "state": str(fault)}
+    has = parts(system).words
     if isinstance(system, OwnSystem):
-        return {"what": _OURS[name], "state": "ready"}
-    if not isinstance(system, CommandSystem):
-        return {"what": f"class {system.source}", "state": "ready"}
+        return {"what": _OURS[name], "parts": has, "state": "ready"}
+    if isinstance(system, ClassSystem):
+        return {"what": f"class {system.source}", "parts": has, "state": "ready"}
+    assert isinstance(system, CommandSystem)
     try:
         system.check()
     except InputError as fault:
@@ -142,4 +146,4 @@ def _described(registry: "Registry", name: str) -> dict[str, str]:
     else:
         pace = "in real time" if system.takes_real_time else "as fast as it can"
         state = f"ready, takes frames {pace}"
-    return {"what": system.spec.about or str(system.file), "state": state}
+    return {"what": system.spec.about or str(system.file), "parts": has, "state": state}

@@ -34,8 +34,9 @@ from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
 from dslab.experiments.runs.systems.class_process import run_class_apart
 from dslab.experiments.runs.systems.command import CommandSystem, run_command
 from dslab.experiments.runs.systems.command_spec import Limits
+from dslab.experiments.runs.systems.framework import dual_builder
 from dslab.experiments.runs.systems.own_class import ClassSystem
-from dslab.experiments.runs.systems.registry import System, system_digest
+from dslab.experiments.runs.systems.registry import DualSystem, System, system_digest
 from dslab.sim.sequence import Sequence
 from dslab.slam.core.events import Breakage, Event, RecoveryStart
 from dslab.slam.core.results import MapTrajectory, TrackingResult
@@ -343,7 +344,8 @@ def run_other(
 ) -> tuple[RunRecord, str]:
     """Run a system without recovery threads: the base, DSO, or one of someone else's.
 
-    What is not ours runs in a process of its own, so that a crash or a hang is its outcome. Whether the
+    A class or a program runs in a process of its own, so that a crash or a hang is its outcome; within
+    Dual-SLAM over it a class does not. Whether the
     lead-in is healthy never depends on what comes after it. What gives poses frame by frame is judged by
     them. Of a program only what it leaves is known, which its end decides: its lead-in has a run of its own.
 
@@ -370,7 +372,10 @@ def run_other(
     if isinstance(system, ClassSystem):
         record = run_class_apart(system, sequence, seed, LIMITS)
     else:
-        record = execute(sequence, system.name, seed, build=factory_of(settings))
+        build = factory_of(settings)
+        if isinstance(system, DualSystem):
+            build = dual_builder(system, sequence, build)
+        record = execute(sequence, system.name, seed, build=build)
     return record, _other_fault(record, onset)
 
 

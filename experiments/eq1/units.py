@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -26,8 +27,8 @@ _ROUNDING_S = 1e-6
 
 
 def system_label(system: str) -> str:
-    """Name of a system in cells and records: of ``module:Class`` the class."""
-    return system.rpartition(":")[2]
+    """Name of a system in cells and records: of ``module:Class`` the class, also within ``dual()``."""
+    return re.sub(r"[^(,=\s]*:|\s", "", system)
 
 
 class ThreadChoice(Strict):

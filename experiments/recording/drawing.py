@@ -127,7 +127,7 @@ class RunDrawing:
         for map_id, places in self._maps.places.items():
             live = self._record.live[map_id]
             ends = [*(place.frame for place in places[1:]), len(self._record.results)]
-            for place, end in zip(places, ends, strict=True):
+            for place, end in zip(places, ends, strict=False):  # of some it is not known where they lie
                 path = live.where((live.frames >= place.frame) & (live.frames < end))
                 self._stream.poses(entity, path.frames, place.S_world_map.poses(path.T_map_cam))
 

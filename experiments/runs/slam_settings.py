@@ -15,7 +15,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import yaml
 from pydantic import Field, TypeAdapter, ValidationError
 
-from dslab.experiments.runs.execution import Mode, SlamSystem, SystemFactory
+from dslab.experiments.runs.execution import Mode, SlamSystem
 from dslab.scenarios.errors import InputError
 from dslab.scenarios.faults import guess, problem_and_remedy
 from dslab.scenarios.yaml_file import Location, read_yaml
@@ -26,11 +26,13 @@ from dslab.slam.dual.config import DualConfig
 from dslab.slam.dual.recovery.interface import RecoveryConfig
 from dslab.slam.dual.recovery.registry import RECOVERY_KINDS, ThreadSpec
 from dslab.slam.factory import build_system, default_settings
+from dslab.slam.framework.dual_of import FrameworkConfig
 from dslab.slam.ldso.config import DsoConfig
 from dslab.slam.runtime.backend import ExecutionMode
 
 _SUMMARY_KEY = "config"
-_DUAL, _DSO, _MODE = "dual", "dso", "mode"
+_DUAL, _DSO, _FRAMEWORK, _MODE = "dual", "dso", "framework", "mode"
+_SECTIONS = (_DUAL, _DSO, _FRAMEWORK, _MODE)
 _UNITS = {"_s": "s", "_ms": "ms", "_px": "px", "_deg": "deg"}
 _Seed = Annotated[int, Field(ge=0)]
 
@@ -43,6 +45,7 @@ class SlamSettings:
         written: fields of :class:`SlamConfig` as written.
         written_dual: fields of :class:`DualConfig` as written.
         written_dso: fields of :class:`DsoConfig` as written.
+        written_framework: fields of :class:`FrameworkConfig` as written.
         dual_options: fields of :class:`DualConfig` that go before what is written.
         mode: how tracking and mapping share time; None where nothing is said of it.
     """
@@ -50,6 +53,7 @@ class SlamSettings:
     written: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     written_dual: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     written_dso: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    written_framework: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     dual_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mode: Mode | None = None
 
@@ -64,6 +68,11 @@ class SlamSettings:
     def dso(self) -> DsoConfig:
         """The settings of direct sparse odometry."""
         return _overlaid(DsoConfig(), self.written_dso, (_DSO,), _unlocated)
+
+    @property
+    def framework(self) -> FrameworkConfig:
+        """The settings of Dual-SLAM over any system."""
+        return _overlaid(FrameworkConfig(), self.written_framework, (_FRAMEWORK,), _unlocated)
 
 
 def read_slam_settings(path: Path) -> SlamSettings:
@@ -92,27 +101,41 @@ def parse_slam_settings(data: Any, at: Location, locate: Callable[[Location], st
     """
     if not isinstance(data, Mapping):
         raise InputError(locate(at), "is no mapping", "start from `dslab config show`")
-    own = {key: value for key, value in data.items() if key not in (_DUAL, _DSO, _MODE)}
-    base = _overlaid(SlamConfig(), own, at, locate, extra=(_DUAL, _DSO, _MODE))
+    own = {key: value for key, value in data.items() if key not in _SECTIONS}
+    base = _overlaid(SlamConfig(), own, at, locate, extra=_SECTIONS)
     dual = data.get(_DUAL) or {}
     _overlaid(DualConfig(), dual, (*at, _DUAL), locate, base=base)
     dso = data.get(_DSO) or {}
     _overlaid(DsoConfig(), dso, (*at, _DSO), locate)
+    framework = data.get(_FRAMEWORK) or {}
+    _overlaid(FrameworkConfig(), framework, (*at, _FRAMEWORK), locate)
     mode: Mode | None = None
     if _MODE in data:
         mode = _checked(data[_MODE], Mode, (*at, _MODE), locate)
-    return SlamSettings(own, dual, dso, mode=mode)
+    return SlamSettings(own, dual, dso, framework, mode=mode)
 
 
-def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SystemFactory:
+@dataclass(frozen=True)
+class SettingsFactory:
+    """A factory of systems with settings.
+
+    Attributes:
+        settings: of them.
+        mode: how tracking and mapping share time.
+    """
+
+    settings: SlamSettings
+    mode: ExecutionMode
+
+    def __call__(self, kind: str, camera: PinholeCamera, seed: int) -> SlamSystem:
+        """Make a system."""
+        config, dual = self.settings.of(kind, camera)
+        return build_system(kind, camera, seed, config, self.mode, dual, self.settings.dso)
+
+
+def factory_of(settings: SlamSettings, mode: Mode = "lockstep") -> SettingsFactory:
     """A factory of systems with these settings."""
-    execution_mode = ExecutionMode(settings.mode or mode)
-
-    def build(kind: str, camera: PinholeCamera, seed: int) -> SlamSystem:
-        config, dual = settings.of(kind, camera)
-        return build_system(kind, camera, seed, config, execution_mode, dual, settings.dso)
-
-    return build
+    return SettingsFactory(settings, ExecutionMode(settings.mode or mode))
 
 
 def settings_yaml() -> str:
@@ -122,6 +145,8 @@ def settings_yaml() -> str:
     lines += _described(SlamConfig(), 0)
     lines += ["", "# Settings of Dual-SLAM.", f"{_DUAL}:", *_described(DualConfig(), 1)]
     lines += ["", "# Settings of direct sparse odometry.", f"{_DSO}:", *_described(DsoConfig(), 1)]
+    lines += ["", "# Settings of Dual-SLAM over any system."]
+    lines += [f"{_FRAMEWORK}:", *_described(FrameworkConfig(), 1)]
     return "\n".join(lines) + "\n"
 
 

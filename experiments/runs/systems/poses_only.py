@@ -66,7 +66,8 @@ class PosesOnly:
         self._ask(self._take_events)
         self._was_initialized |= self._poses[-1] is not None
         frame = len(self._poses) - 1
-        return frame_result(frame, stamp_s, self._poses[-1], self._was_initialized, ms=ms, cpu_ms=cpu_ms)
+        reason = self.ending.kind.value if self._is_over else ""
+        return frame_result(frame, stamp_s, self._poses[-1], self._was_initialized, reason, ms, cpu_ms)
 
     def finish(self) -> None:
         """Take the final poses, if the source has any."""

@@ -21,13 +21,16 @@ from dslab.scenarios.extensions import source_digest
 from dslab.scenarios.faults import guess
 from dslab.scenarios.input_files import file_names, is_folder
 from dslab.sim.cache import content_key
-from dslab.slam.factory import SYSTEMS
+from dslab.slam.factory import DUAL, SYSTEMS
 
 VARIABLE = "DSLAB_SYSTEMS"
 """Environment variable with the folders of further descriptions, separated as in PATH."""
 _NAME = re.compile(r"[A-Za-z0-9][\w.+@-]*")
 _LAB = "lab@"
 _COMMIT = re.compile(r"[0-9a-f]{7,40}")
+_DUAL = re.compile(r"dual\((.*)\)")
+_RECOVERY = "recovery="
+_COMMA = re.compile(r",(?![^(]*\))")
 
 
 @dataclass(frozen=True)
@@ -37,7 +40,45 @@ class OwnSystem:
     name: str
 
 
-System = OwnSystem | ClassSystem | CommandSystem
+@dataclass(frozen=True)
+class DualSystem:
+    """Dual-SLAM over a system: ``dual(X)``, or ``dual(X, recovery=Y)`` with others for its recovery threads.
+
+    Attributes:
+        name: of it.
+        forward: the system.
+        recoveries: of the threads, in order; none for the forward one itself.
+    """
+
+    name: str
+    forward: "System"
+    recoveries: tuple["System", ...] = ()
+
+    @property
+    def parts(self) -> tuple["System", ...]:
+        """What it is made of."""
+        return (self.forward, *self.recoveries)
+
+
+System = OwnSystem | ClassSystem | CommandSystem | DualSystem
+
+
+def programs_of(system: System) -> list[CommandSystem]:
+    """The programs that a system is or is made of."""
+    if isinstance(system, DualSystem):
+        return [program for part in system.parts for program in programs_of(part)]
+    return [system] if isinstance(system, CommandSystem) else []
+
+
+def check_startable(system: System) -> None:
+    """Check that the programs of a system can be started. Raises InputError if not."""
+    for program in programs_of(system):
+        program.check()
+
+
+def takes_real_time(system: System) -> bool:
+    """Return True if it takes frames in real time: what runs beside it changes what it does."""
+    return any(program.takes_real_time for program in programs_of(system))
 
 
 @dataclass(frozen=True)
@@ -78,11 +119,14 @@ class Registry:
     def find(self, name: str) -> System:
         """The system of a name, or a class that is named as ``module:Class``.
 
-        ``base@0.2.0`` is a system of a release of this lab, ``base@019e78a`` of any commit of it.
+        ``base@0.2.0`` is a system of a release of this lab, ``base@019e78a`` of any commit of it;
+        ``dual(orbslam3, recovery=ldso)`` is Dual-SLAM over any of them.
 
         Raises:
             InputError: there is none, or it is not valid.
         """
+        if (dual := _DUAL.fullmatch(name.strip())) is not None:
+            return self._dual(split_names(dual[1]))
         if name in SYSTEMS:
             return OwnSystem(name)
         if name in self.files:
@@ -110,6 +154,21 @@ class Registry:
                 raise InputError("--system", f"{system.name} is given twice", "name each once")
             found[system.name] = system
         return found
+
+    def _dual(self, words: list[str]) -> DualSystem:
+        """Dual-SLAM over the system of the first word, with those of the others for its recoveries."""
+        forward, *others = words
+        odd = [word for word in others if not word.startswith(_RECOVERY)]
+        if odd or not forward:
+            problem = f"{odd[0]!r} is no recovery" if odd else "dual() names no system"
+            raise InputError("--system", problem, "write dual(base) or dual(base, recovery=ldso)")
+        made = [self.find(forward), *(self.find(word.removeprefix(_RECOVERY).strip()) for word in others)]
+        for system in made:
+            if isinstance(system, DualSystem) or system.name in DUAL:
+                problem = f"{system.name} has recoveries of its own"
+                raise InputError("--system", problem, "name a system without, such as base")
+        names = [made[0].name, *(_RECOVERY + system.name for system in made[1:])]
+        return DualSystem(f"dual({','.join(names)})", made[0], tuple(made[1:]))
 
     def _earlier(self, name: str) -> CommandSystem:
         """A system of a release of this lab, or of a commit, which is run as the last release is."""
@@ -145,11 +204,14 @@ class Registry:
 
 def system_digest(system: System) -> str:
     """Hash of a class or a description, which changes with it; empty for our systems."""
+    if isinstance(system, DualSystem):
+        digests = [system_digest(part) for part in system.parts]
+        return content_key(digests) if any(digests) else ""
     if isinstance(system, CommandSystem):
         return content_key(system.spec.model_dump(mode="json", exclude_defaults=True))
     return source_digest(system.make) if isinstance(system, ClassSystem) else ""
 
 
 def split_names(names: str) -> list[str]:
-    """The names in an option, which commas separate."""
-    return [name.strip() for name in names.split(",")]
+    """The names in an option, which commas outside of brackets separate."""
+    return [name.strip() for name in _COMMA.split(names)]

@@ -7,8 +7,9 @@ from dslab.experiments.runs.execution import AtEnd, Observer, Progress, RunRecor
 from dslab.experiments.runs.inputs import hashed, input_digests
 from dslab.experiments.runs.pacing import RealTime
 from dslab.experiments.runs.systems.command import CommandSystem, run_command
+from dslab.experiments.runs.systems.framework import dual_builder
 from dslab.experiments.runs.systems.own_class import ClassSystem
-from dslab.experiments.runs.systems.registry import System, system_digest
+from dslab.experiments.runs.systems.registry import DualSystem, System, system_digest
 from dslab.sim.sequence import Sequence
 
 
@@ -44,9 +45,12 @@ def run_system(
     if isinstance(system, CommandSystem):
         record = run_command(system, sequence, seed, folder, observer, progress)
         return replace(record, input=input_digests(whole))
+    if isinstance(system, DualSystem):
+        build, at_end = dual_builder(system, sequence, build), None
     if isinstance(system, ClassSystem):
         made = system
         build, at_end = (lambda name, camera, seed: made.build(camera, seed)), None
     record = execute(sequence, system.name, seed, observer, progress, build, pace, at_end)
-    config = record.config | ({"code": system_digest(system)} if isinstance(system, ClassSystem) else {})
+    digest = system_digest(system)
+    config = record.config | ({"code": digest} if digest else {})
     return replace(record, input=input_digests(whole), config=config)

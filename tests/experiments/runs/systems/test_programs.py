@@ -364,7 +364,7 @@ def test_names_that_are_taken_and_folders_that_are_missing_are_refused(dslab, tm
 
 def test_the_list_says_of_each_whether_it_can_run(dslab, monkeypatch, tmp_path, sequence):
     monkeypatch.setenv("DSLAB_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("COLUMNS", "260")
     write_program(tmp_path / "s", sequence, about="copies", comand="x")
     code, out, _ = dslab("systems", "list", "--systems", tmp_path / "s")
     rows = {line.split()[0]: line for line in out.splitlines() if line.strip()}
