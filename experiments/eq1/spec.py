@@ -217,7 +217,7 @@ class ExperimentSpec(Strict):
             threads=self.threads,
             settings=self.settings,
             system=of_cell.system,
-            arms=self.arms if of_cell.system in RECOVERING else ("free",),
+            arms=self.arms if _recovers(of_cell.system) else ("free",),
         )
 
     def _cell(self, name: str) -> Cell:
@@ -335,6 +335,11 @@ def _confirmatory_faults(spec: ExperimentSpec, file: YamlFile) -> Iterator[Input
                 f"{cell} is no cell with a dose and recovery threads",
                 remedy,
             )
+
+
+def _recovers(system: str) -> bool:
+    """Return True if a system has a crossing arm: ours with recovery threads, and Dual-SLAM over any."""
+    return system in RECOVERING or system.startswith("dual(")
 
 
 def _members(base: Base) -> tuple[str | None, ...]:

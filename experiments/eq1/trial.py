@@ -22,20 +22,29 @@ from dslab.experiments.eq1.arms import (
     run_other,
 )
 from dslab.experiments.eq1.conditioning import judge_pairs
+from dslab.experiments.eq1.dual_arms import judge_dual_crossing, judge_free_recovery
 from dslab.experiments.eq1.judging import judge_crossing, judge_free, judge_other
 from dslab.experiments.eq1.records import Outcome, empty_record, error_message
 from dslab.experiments.eq1.recovery_judging import Reference
 from dslab.experiments.eq1.units import ArmName, Exposure, UnitSpec, unit_settings
 from dslab.experiments.evaluation.view_overlap import best_overlap
 from dslab.experiments.runs.ending import FINISHED, Declares
-from dslab.experiments.runs.execution import RunRecord, slam_camera
+from dslab.experiments.runs.execution import RunRecord, live_trajectories, slam_camera
 from dslab.experiments.runs.memory import peak_rss_mb, reset_peak
 from dslab.experiments.runs.provenance import code_hash, commit
 from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
-from dslab.experiments.runs.systems.registry import OwnSystem, Registry, System, system_digest
+from dslab.experiments.runs.systems.framework import dual_builder
+from dslab.experiments.runs.systems.registry import (
+    DualSystem,
+    OwnSystem,
+    Registry,
+    System,
+    system_digest,
+)
 from dslab.experiments.runs.systems.run import run_system
 from dslab.scenarios.spec import Scenario
 from dslab.sim.sequence import Sequence
+from dslab.slam.core.results import MapTrajectory
 
 Row = dict[str, Any]
 CROSSING = "crossing"
@@ -67,16 +76,17 @@ def run_unit(unit: UnitSpec, cache_dir: Path | None = None, folders: Iterable[Pa
             sequence = frames_of(unit.scenario, unit.start_frame, cache_dir)
             if unit.scenario.segments:
                 row["exposed"] = any(segment.first_frame >= 0 for segment in sequence.segments)
-            if unit.recovers:
-                _, dual = settings.of(unit.system, slam_camera(sequence.camera))
-                row |= overlap_columns(unit.scenario, sequence, dual.buffer_s, cache_dir)
+            if unit.recovers or isinstance(system, DualSystem):
+                _, dual = settings.of("dual", slam_camera(sequence.camera))
+                buffer_s = dual.buffer_s if unit.recovers else settings.framework.buffer_s
+                row |= overlap_columns(unit.scenario, sequence, buffer_s, cache_dir)
         exposure = Exposure.of(unit.onset_s, unit.exposed_s, sequence.stamps_s)
         row |= exposure.columns
         case = Case(system, settings, unit.repeat_seed, len(unit.threads), sequence, exposure)
         if unit.recovers:
             _run_recovering(row, case, unit.arms)
         else:
-            _run_other(row, case)
+            _run_other(row, case, unit.arms)
     except Exception as error:  # a broken unit must not end the experiment
         row |= {"outcome": Outcome.INFRASTRUCTURE_ERROR.value, "message": error_message(error)}
     return row | {
@@ -228,8 +238,8 @@ _ARMS: dict[ArmName, Callable[[Row, Case, LeadIn, LeadIn | None], None]] = {
 }
 
 
-def _run_other(row: Row, case: Case) -> None:
-    """Run any other system in the free arm alone."""
+def _run_other(row: Row, case: Case, arms: Iterable[ArmName]) -> None:
+    """Run any other system in the free arm; Dual-SLAM over one in the crossing arm too."""
     with _timed(row, "slam_s"):
         onset = case.exposure.onset_frame
         run, fault = run_other(case.system, case.sequence, onset, case.seed, case.settings)
@@ -241,6 +251,18 @@ def _run_other(row: Row, case: Case) -> None:
         row |= _void(fault)
     else:
         row |= judge_other(run, case.exposure, case.threads) | {"outcome": Outcome.COMPLETED.value}
+    if isinstance(case.system, DualSystem) and not fault:
+        threads = min(case.threads, max(1, len(case.system.recoveries)))
+        row |= judge_free_recovery(run, _lead_in_path(run, onset), row, case.exposure, threads)
+        if "crossing" in arms:
+            build = dual_builder(case.system, case.sequence, factory_of(case.settings))
+            row |= judge_dual_crossing(build, case.sequence, case.exposure, case.seed, threads)
+
+
+def _lead_in_path(run: RunRecord, onset: int) -> MapTrajectory:
+    """Poses of the lead-in as they were given."""
+    path = live_trajectories(run.results[:onset])[run.results[onset - 1].map_id]
+    return path.where(path.frames < onset)
 
 
 def _void(fault: str) -> Row:

@@ -4,6 +4,7 @@ import atexit
 import ctypes
 import errno
 import os
+import re
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -120,5 +121,8 @@ class Stream:
 
 
 def part(name: str) -> str:
-    """A name as one part of an entity path, which the viewer shows as it is: ``dual+`` is ``dual_plus``."""
-    return rr.escape_entity_path_part(name.replace("+", "_plus").replace(" ", "_"))
+    """A name as one part of an entity path, which the viewer shows as it is.
+
+    ``dual+`` is ``dual_plus``, ``dual(base)`` is ``dual_base``.
+    """
+    return rr.escape_entity_path_part(re.sub(r"[(),= ]+", "_", name.replace("+", "_plus")).strip("_"))

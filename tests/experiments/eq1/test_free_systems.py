@@ -139,3 +139,18 @@ def test_a_class_gives_the_same_record_again(monkeypatch, tmp_path):
 def test_an_unknown_system_is_an_error_of_the_programs(monkeypatch):
     record = run_unit(unit(system="orbslam33", arms=("free",)))
     assert record["outcome"] == "infrastructure_error" and "orbslam3" in record["message"]
+
+
+def test_recoveries_of_dual_slam_over_a_system_are_judged_in_both_arms(monkeypatch):
+    of = unit("orb", system="dual(base)", settings={"framework": {"start_poses": 15}})
+    calm = run(monkeypatch, SEQUENCE, of)
+    assert (calm["outcome"], calm["breakage"], calm["free_r1_failed"]) == ("completed", False, None)
+    crossed = {name: calm[f"cross_r1_{name}"] for name in ("failed", "declared", "false")}
+    assert crossed == {"failed": False, "declared": True, "false": False}
+    assert abs(calm["cross_r1_scale_error"]) < 0.05 and calm["cross_frames_to_cross"] > END - ONSET
+    blind = run(monkeypatch, synthetic(range(ONSET + 5, END)), of)
+    assert (blind["breakage"], blind["free_r1_failed"], blind["cross_r1_stage"]) == (
+        True,
+        True,
+        "propagation",
+    )
