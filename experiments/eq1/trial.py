@@ -39,6 +39,7 @@ from dslab.experiments.runs.systems.registry import (
     OwnSystem,
     Registry,
     System,
+    programs_of,
     system_digest,
 )
 from dslab.experiments.runs.systems.run import run_system
@@ -254,7 +255,7 @@ def _run_other(row: Row, case: Case, arms: Iterable[ArmName]) -> None:
     if isinstance(case.system, DualSystem) and not fault:
         threads = min(case.threads, max(1, len(case.system.recoveries)))
         row |= judge_free_recovery(run, _lead_in_path(run, onset), row, case.exposure, threads)
-        if "crossing" in arms:
+        if "crossing" in arms and not programs_of(case.system):
             build = dual_builder(case.system, case.sequence, factory_of(case.settings))
             row |= judge_dual_crossing(build, case.sequence, case.exposure, case.seed, threads)
 

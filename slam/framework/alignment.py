@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dslab.slam.core.settings import setting, settings
-from dslab.slam.optimization.sim3 import sim3_decompose, sim3_matrix
+from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_matrix
 
 _ROUNDS = 20
 _LEAST_ANGLE = 1e-4  # rad; nearer ones count alike
@@ -96,15 +96,6 @@ def similarity(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
 def residuals(S_b_a: np.ndarray, T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:
     """(N,) distances of positions in b from those of a, moved there."""
     return np.linalg.norm(T_b[:, :3, 3] - moved(S_b_a, T_a)[:, :3, 3], axis=1)
-
-
-def moved(S: np.ndarray, T: np.ndarray) -> np.ndarray:
-    """Poses (..., 4, 4) in another map, by a (4, 4) similarity to it: they stay rigid."""
-    s, R, t = sim3_decompose(S)
-    out = T.copy()
-    out[..., :3, :3] = R @ T[..., :3, :3]
-    out[..., :3, 3] = s * T[..., :3, 3] @ R.T + t
-    return out
 
 
 def _median(R: np.ndarray) -> np.ndarray:

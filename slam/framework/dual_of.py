@@ -20,10 +20,11 @@ from dslab.slam.core.results import MapTrajectory, TrackingResult
 from dslab.slam.core.seeds import rng_for
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.snapshot import Snapshot
-from dslab.slam.framework.alignment import SeamConfig, moved
+from dslab.slam.framework.alignment import SeamConfig
 from dslab.slam.framework.odometry import Fed, GivenFrame, Kind
 from dslab.slam.framework.pieces import JoinedMap
 from dslab.slam.framework.recovery import Recovered, recover
+from dslab.slam.optimization.sim3 import moved
 
 _NO_FEATURES = np.empty((0, 2), np.float32), np.empty(0, bool)
 
@@ -74,7 +75,7 @@ class DualOf:
         self.events: list[ev.Event] = []
         self.frames = 0
         self.state = TrackingState.NOT_INITIALIZED
-        self._camera, self._seed, self._begun = camera, seed, 0
+        self._camera, self._seed, self._begun, self._next_id = camera, seed, 0, 0
         self._stamps_s: list[float] = []
         self._buffer: deque[GivenFrame] = deque()
         self._maps: dict[int, JoinedMap] = {}
@@ -127,7 +128,8 @@ class DualOf:
 
     def _begin(self, first: int) -> None:
         """Begin a system on the frames from one on, in a map of its own."""
-        self._map_id = max([*self._maps, -1]) + 1
+        self._map_id = self._next_id  # never given twice: what is told of a dropped map stays told
+        self._next_id += 1
         self._fed = Fed(self.forward, self._next_seed(), first)
         self._maps[self._map_id] = JoinedMap(self._map_id, self._fed)
         self._since = first if first else None

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from dslab.slam.framework.alignment import moved
 from dslab.slam.framework.odometry import Fed
-from dslab.slam.optimization.sim3 import sim3_decompose
+from dslab.slam.optimization.sim3 import moved, sim3_decompose
 
 
 class Piece:

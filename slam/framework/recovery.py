@@ -12,10 +12,10 @@ import numpy as np
 
 from dslab.slam.core.events import PlacedKeyframe
 from dslab.slam.core.relation import PlacedFrames, Relation
-from dslab.slam.framework.alignment import Aligned, SeamConfig, align, moved
+from dslab.slam.framework.alignment import Aligned, SeamConfig, align
 from dslab.slam.framework.odometry import Fed, GivenFrame, Kind
 from dslab.slam.framework.pieces import JoinedMap
-from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_inverse
 
 _STRIDE = 5  # frames between two looks whether a saved map is reached
 _PLACED = 100  # most poses of a side that a relation states

@@ -8,7 +8,7 @@ from dslab.slam.core.frame import Frame, FrameFeatures
 from dslab.slam.core.relation import PlacedFrames, Relation
 from dslab.slam.map import _map_kernels as kernels
 from dslab.slam.map.map import Map
-from dslab.slam.optimization.sim3 import sim3_decompose, sim3_inverse
+from dslab.slam.optimization.sim3 import moved, sim3_inverse
 
 _COVISIBLE = 20  # most covisible keyframes of a side
 _IN_TIME = 20  # most further keyframes of a side, the next ones in time: covisible ones may stand too close
@@ -93,8 +93,7 @@ def _placed(map_: Map, rows: Sequence[int], S_old_map: np.ndarray | None = None)
     """Poses of keyframes, moved by a similarity if one is given."""
     T = np.array([np.linalg.inv(map_.T_cam_map(k)) for k in rows]).reshape(-1, 4, 4)
     if S_old_map is not None:
-        T = S_old_map @ T
-        T[:, :3, :3] /= sim3_decompose(S_old_map)[0]
+        T = moved(S_old_map, T)
     features = [map_.features(k) for k in rows]
     return PlacedFrames(
         np.array([f.index for f in features], int), np.array([f.stamp_s for f in features], float), T

@@ -60,6 +60,15 @@ def sim3_inverse(S: np.ndarray) -> np.ndarray:
     return sim3_matrix(1.0 / s, R.T, -R.T @ t / s)
 
 
+def moved(S: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """Poses (..., 4, 4) in another map, by a (4, 4) similarity to it: they stay rigid."""
+    s, R, t = sim3_decompose(S)
+    out = T.copy()
+    out[..., :3, :3] = R @ T[..., :3, :3]
+    out[..., :3, 3] = s * T[..., :3, 3] @ R.T + t
+    return out
+
+
 def horn_sim3(points_a: np.ndarray, points_b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
     """Least-squares similarity from ``points_b`` to ``points_a``: ``p_a = s R p_b + t``.
 

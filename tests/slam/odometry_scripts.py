@@ -10,10 +10,9 @@ from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.events import Breakage, Event, LoopClosed, TrackingState
 from dslab.slam.core.relation import PlacedFrames, Relation
 from dslab.slam.core.results import MapTrajectory, TrackingResult
-from dslab.slam.framework.alignment import moved
 from dslab.slam.framework.dual_of import DualOf, FrameworkConfig
 from dslab.slam.framework.odometry import Kind, Parts
-from dslab.slam.optimization.sim3 import sim3_matrix
+from dslab.slam.optimization.sim3 import moved, sim3_matrix
 
 CAMERA = PinholeCamera(width_px=64, height_px=48, fx=50.0, fy=50.0, cx=31.5, cy=23.5, fps=10.0)
 

@@ -39,6 +39,7 @@ class ProgramRun:
         self.camera = camera
         self._system, self._sequence, self._seed = system, sequence, seed
         self._record: RunRecord | None = None
+        self._row_of: dict[float, int] = {}  # of the record, by stamp
         self._rows: list[int] = []  # of the record, of the frames so far; -1 for one that it could not read
 
     @property
@@ -55,8 +56,8 @@ class ProgramRun:
         """What it said of the next frame."""
         if self._record is None:
             self._record = run_command(self._system, self._sequence, self._seed)
-        results = {result.stamp_s: row for row, result in enumerate(self._record.results)}
-        self._rows.append(results.get(float(self._sequence.stamps_s[len(self._rows)]), -1))
+            self._row_of = {result.stamp_s: row for row, result in enumerate(self._record.results)}
+        self._rows.append(self._row_of.get(float(self._sequence.stamps_s[len(self._rows)]), -1))
         result = self._record.results[self._rows[-1]]
         return result if self._rows[-1] >= 0 else replace(result, T_map_cam=None)
 

@@ -5,8 +5,9 @@ import pytest
 from odometry_scripts import CAMERA, Script, dual_of, image_of, told, walk
 
 from dslab.slam.core.events import Breakage, Fusion, LoopClosed, RecoveryEnd, TrackingState
-from dslab.slam.framework.alignment import align, moved
+from dslab.slam.framework.alignment import align
 from dslab.slam.framework.dual_of import DualOf
+from dslab.slam.optimization.sim3 import moved
 
 GAP = set(range(80, 95))
 
@@ -192,3 +193,12 @@ def test_a_cut_map_is_reached_from_the_one_after_the_restart():
     assert branched.frames == 200
     with pytest.raises(RuntimeError, match="restart without a cut"):
         system.restart()
+
+
+def test_no_map_has_the_number_of_one_that_was_dropped_or_fused():
+    truth = walk()
+    forward = Script(truth, blind=GAP | {100} | set(range(150, 155)))
+    system = dual_of(forward.kind(), Script(truth).kind())
+    begun = [e.map_id for e in system.events if e.kind == "reinit_start"]
+    assert begun == sorted(set(begun)) and len(begun) == 3
+    assert told(system).count("fusion") == 2 and system.maps() == [0]

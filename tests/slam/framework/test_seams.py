@@ -5,8 +5,8 @@ import pytest
 from odometry_scripts import walk
 from scipy.spatial.transform import Rotation
 
-from dslab.slam.framework.alignment import SeamConfig, align, moved
-from dslab.slam.optimization.sim3 import sim3_decompose, sim3_matrix
+from dslab.slam.framework.alignment import SeamConfig, align
+from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_matrix
 
 S = sim3_matrix(2.5, Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([3.0, -1.0, 2.0]))
 SEAM = SeamConfig()
