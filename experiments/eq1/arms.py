@@ -4,18 +4,16 @@ Free: base and Dual-SLAM see the same images. Crossing: the map is saved at the 
 after the exposed segment, even if tracking would not have failed in it. Any other system, ours or not, runs
 the free arm alone.
 
-Whatever a lead-in depends on is in its key: a unit's record is the same with or without an earlier one.
+What units share is kept by :mod:`experiments.eq1.shared_runs`.
 """
 
-import hashlib
-from collections.abc import Callable
 from collections.abc import Sequence as Many
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from dslab.experiments.eq1.units import content_hash
+from dslab.experiments.eq1.branch_run import BranchRun, Saved
+from dslab.experiments.eq1.shared_runs import SAVE_EVERY_S, forward_of, frames_key, kept, run_own
 from dslab.experiments.evaluation import metrics
 from dslab.experiments.evaluation.alignment import Undefined, align_poses
 from dslab.experiments.evaluation.audit_report import audit_loss_in
@@ -26,9 +24,7 @@ from dslab.experiments.runs.execution import (
     RunRecord,
     execute,
     live_trajectories,
-    record_of,
     slam_camera,
-    without_features,
 )
 from dslab.experiments.runs.slam_settings import SlamSettings, factory_of
 from dslab.experiments.runs.systems.class_process import run_class_apart
@@ -36,13 +32,11 @@ from dslab.experiments.runs.systems.command import CommandSystem, run_command
 from dslab.experiments.runs.systems.command_spec import Limits
 from dslab.experiments.runs.systems.framework import dual_builder
 from dslab.experiments.runs.systems.own_class import ClassSystem
-from dslab.experiments.runs.systems.registry import DualSystem, System, system_digest
+from dslab.experiments.runs.systems.registry import DualSystem, OwnSystem, System, system_digest
 from dslab.sim.sequence import Sequence
-from dslab.slam.core.events import Breakage, Event, RecoveryStart
+from dslab.slam.core.events import Breakage, Event
 from dslab.slam.core.results import MapTrajectory, TrackingResult
-from dslab.slam.core.snapshot import Snapshot
 from dslab.slam.dual.dual_slam import DualSlam
-from dslab.slam.system import MonocularSystem
 
 LEAD_IN_HEALTHY_S = 1.0
 """Time before the exposed segment for which the map must have been tracked without a gap."""
@@ -52,107 +46,8 @@ LIMITS = Limits()
 """What a class may take, as a program whose description does not say."""
 PLAIN: dict[str, str] = {"dual+": "dual", "paper+": "paper"}
 """Systems beside which the base is that of another one, without its initialisation."""
-_SAVE_EVERY_S = 1.0
 _OURS_KEPT, _PROGRAMS_KEPT = 2, 16
 """Lead-ins that are kept; of ours, which are large, that of a system and a plain one beside it."""
-
-
-# -- a run that can be saved and go on -----------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Saved:
-    """State of a run between two frames, from which any number of runs can resume."""
-
-    snapshot: Snapshot
-    results: tuple[TrackingResult, ...]
-
-    @property
-    def frames(self) -> int:
-        """Number of frames fed before."""
-        return len(self.results)
-
-
-class BranchRun:
-    """A system at one point of its run over a sequence, with its results so far.
-
-    Args:
-        system: the SLAM system.
-        sequence: its input.
-        results: of the frames fed so far.
-        observer: called after every frame.
-
-    Attributes:
-        first_new_frame: first frame of the new map from which the first recovery started; None before it.
-    """
-
-    def __init__(
-        self,
-        system: MonocularSystem,
-        sequence: Sequence,
-        results: tuple[TrackingResult, ...] = (),
-        observer: Observer | None = None,
-    ) -> None:
-        self.system = system
-        self.sequence = sequence
-        self.results = list(results)
-        self._observer = observer
-        self.first_new_frame: int | None = None
-
-    @classmethod
-    def resume(cls, saved: Saved, sequence: Sequence, as_base: bool = False) -> "BranchRun":
-        """Go on from a saved state, over a sequence that is the same so far; ``as_base``: as the base."""
-        system = saved.snapshot.restore()
-        if as_base and isinstance(system, DualSlam):
-            system = system.as_base()
-        return cls(system, sequence, saved.results)
-
-    @property
-    def frames(self) -> int:
-        """Number of frames fed so far."""
-        return len(self.results)
-
-    @property
-    def at_end(self) -> bool:
-        """True if no frame is left."""
-        return self.frames == len(self.sequence)
-
-    @property
-    def is_broken(self) -> bool:
-        """True if a breakage was declared."""
-        return any(isinstance(event, Breakage) for event in self.system.events)
-
-    def step(self) -> None:
-        """Feed one frame."""
-        index, happened = self.frames, len(self.system.events)
-        image = self.sequence.frames[index]
-        result = self.system.process(image, float(self.sequence.stamps_s[index]))
-        if self._observer is not None:
-            self._observer.frame(image, result, self.system)
-        self.results.append(without_features(result))
-        for event in self.system.events[happened:]:
-            if isinstance(event, RecoveryStart) and self.first_new_frame is None:
-                paths = self.system.keyframe_trajectories()
-                firsts = [int(path.frames[0]) for path in paths if path.map_id == event.map_id]
-                self.first_new_frame = next(iter(firsts), None)
-
-    def feed(self, until: int) -> None:
-        """Feed the frames before ``until``."""
-        while self.frames < until:
-            self.step()
-
-    def run_out(self) -> None:
-        """Feed all frames that are left, and signal the end of the input."""
-        self.feed(len(self.sequence))
-        self.system.finish()
-
-    def save(self) -> Saved:
-        """Save the state."""
-        return Saved(self.system.snapshot(), tuple(self.results))
-
-    def record(self, kind: str, seed: int) -> RunRecord:
-        """The record of the finished run, without its times."""
-        return record_of(self.system, self.sequence, kind, seed, self.results, 0.0)
 
 
 # -- lead-in -------------------------------------------------------------------------------------------------
@@ -189,8 +84,8 @@ def lead_in_of(
         seed: of the system.
         settings: of the system.
     """
-    key = _lead_in_key(sequence, onset, [system, seed, repr(settings)])
-    return _kept(
+    key = frames_key(sequence, onset, [system, seed, repr(settings)])
+    return kept(
         _lead_ins, _OURS_KEPT, key, lambda: _checked(run_lead_in(system, sequence, onset, seed, settings))
     )
 
@@ -224,25 +119,6 @@ def _checked(branch: BranchRun) -> LeadIn | str:
         return fault
     path = next(path for path in system.trajectories() if path.map_id == system.current_map_id)
     return LeadIn(branch.save(), path)
-
-
-def _kept(store: dict[str, Any], most: int, key: str, make: Callable[[], Any]) -> Any:
-    """What was made for a key, made now unless it is among the latest."""
-    found = store.pop(key, None)
-    store[key] = make() if found is None else found
-    while len(store) > most:
-        del store[next(iter(store))]
-    return store[key]
-
-
-def _lead_in_key(sequence: Sequence, onset: int, system: list[object]) -> str:
-    """Hash of all that a lead-in depends on: its frames, their times and truth, the system and its seed."""
-    images = hashlib.sha256()
-    for frame in range(onset):
-        images.update(sequence.frames[frame])
-    truth = None if sequence.T_world_cam is None else sequence.T_world_cam[:onset].tobytes().hex()
-    stamps_s, camera = sequence.stamps_s[:onset].tolist(), repr(sequence.camera)
-    return content_hash([images.hexdigest(), stamps_s, truth, camera, *system])
 
 
 def lead_in_fault(results: Many[TrackingResult], events: Many[Event], sequence: Sequence, onset: int) -> str:
@@ -300,7 +176,7 @@ def run_free(
     Up to the first breakage the two are identical bit for bit and run as one; the base then resumes from a
     snapshot just before it. With a ``plain`` lead-in, of the system in ``PLAIN``, it resumes from that.
     """
-    saved, stride = lead_in, max(1, round(_SAVE_EVERY_S * sequence.camera.fps))
+    saved, stride = lead_in, max(1, round(SAVE_EVERY_S * sequence.camera.fps))
     dual = BranchRun.resume(lead_in, sequence)
     while not (dual.at_end or dual.is_broken):
         if dual.frames - saved.frames >= stride:
@@ -366,15 +242,18 @@ def run_other(
             record = run_command(system, sequence.only(np.arange(onset)), seed)
             return record, _other_fault(record, onset)
 
-        key = _lead_in_key(sequence, onset, [system.name, system_digest(system), seed])
-        record, fault = _kept(_program_lead_ins, _PROGRAMS_KEPT, key, run_lead)
+        key = frames_key(sequence, onset, [system.name, system_digest(system), seed])
+        record, fault = kept(_program_lead_ins, _PROGRAMS_KEPT, key, run_lead)
         return (record, fault) if fault else (run_command(system, sequence, seed), "")
     if isinstance(system, ClassSystem):
         record = run_class_apart(system, sequence, seed, LIMITS)
+    elif isinstance(system, OwnSystem):
+        record = run_own(system, sequence, onset, seed, settings)
     else:
         build = factory_of(settings)
         if isinstance(system, DualSystem):
-            build = dual_builder(system, sequence, build)
+            begun = forward_of(system, sequence, onset, seed, settings, whole=True)
+            build = dual_builder(system, sequence, build, begun)
         record = execute(sequence, system.name, seed, build=build)
     return record, _other_fault(record, onset)
 

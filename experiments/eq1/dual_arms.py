@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from dslab.experiments.eq1.arms import BranchRun, lead_in_fault
+from dslab.experiments.eq1.arms import lead_in_fault
+from dslab.experiments.eq1.branch_run import BranchRun
 from dslab.experiments.eq1.recovery_judging import Reference, judge_recovery
 from dslab.experiments.eq1.units import Exposure
 from dslab.experiments.runs.execution import RunRecord, SystemFactory, slam_camera

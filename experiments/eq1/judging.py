@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from dslab.experiments.eq1.arms import BranchRun, FreeArm
+from dslab.experiments.eq1.arms import FreeArm
+from dslab.experiments.eq1.branch_run import BranchRun
 from dslab.experiments.eq1.records import dual_column, failure_column, thread_column
 from dslab.experiments.eq1.recovery_judging import Reference, judge_recovery
 from dslab.experiments.eq1.units import Exposure

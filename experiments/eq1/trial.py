@@ -26,6 +26,7 @@ from dslab.experiments.eq1.dual_arms import judge_dual_crossing, judge_free_reco
 from dslab.experiments.eq1.judging import judge_crossing, judge_free, judge_other
 from dslab.experiments.eq1.records import Outcome, empty_record, error_message
 from dslab.experiments.eq1.recovery_judging import Reference
+from dslab.experiments.eq1.shared_runs import forward_of
 from dslab.experiments.eq1.units import ArmName, Exposure, UnitSpec, unit_settings
 from dslab.experiments.evaluation.view_overlap import best_overlap
 from dslab.experiments.runs.ending import FINISHED, Declares
@@ -256,7 +257,8 @@ def _run_other(row: Row, case: Case, arms: Iterable[ArmName]) -> None:
         threads = min(case.threads, max(1, len(case.system.recoveries)))
         row |= judge_free_recovery(run, _lead_in_path(run, onset), row, case.exposure, threads)
         if "crossing" in arms and not programs_of(case.system):
-            build = dual_builder(case.system, case.sequence, factory_of(case.settings))
+            begun = forward_of(case.system, case.sequence, onset, case.seed, case.settings, whole=False)
+            build = dual_builder(case.system, case.sequence, factory_of(case.settings), begun)
             row |= judge_dual_crossing(build, case.sequence, case.exposure, case.seed, threads)
 
 

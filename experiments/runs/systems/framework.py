@@ -18,7 +18,7 @@ from dslab.slam.core.events import Event
 from dslab.slam.core.results import MapTrajectory, TrackingResult
 from dslab.slam.factory import build_system, parts_of
 from dslab.slam.framework.dual_of import DualOf
-from dslab.slam.framework.odometry import Kind, Odometry, Parts
+from dslab.slam.framework.odometry import Begin, Kind, Odometry, Parts
 
 _MOST = 0.9  # of the poses that a program gave of a map; final ones of so many frames are of that map
 
@@ -98,18 +98,26 @@ class DualRun(DualOf):
         return system.ending if isinstance(system, PosesOnly | ProgramRun) else FINISHED
 
 
-def dual_builder(system: DualSystem, sequence: Sequence, build: SystemFactory | None = None) -> SystemFactory:
+def dual_builder(
+    system: DualSystem,
+    sequence: Sequence,
+    build: SystemFactory | None = None,
+    begun: Odometry | None = None,
+) -> SystemFactory:
     """What builds Dual-SLAM over a system.
 
     Args:
         system: what it is made of.
         sequence: the frames that it will be given; programs are given copies of parts of it, without truth.
         build: makes ours; None for ``slam.factory.build_system``.
+        begun: the forward system of the first frame, if it is at hand; for one run.
     """
     config = build.settings.framework if isinstance(build, SettingsFactory) else None
 
     def made(name: str, camera: PinholeCamera, seed: int) -> DualRun:
         forward, *recoveries = (_kind(part, sequence, camera, build or build_system) for part in system.parts)
+        if begun is not None:
+            forward = replace(forward, begin=_after(begun, forward.begin))
         return DualRun(camera, seed, forward, recoveries, config)
 
     return made
@@ -139,6 +147,11 @@ def _kind(system: System, sequence: Sequence, camera: PinholeCamera, build: Syst
         )
 
     return Kind(system.name, parts(system), begin)
+
+
+def _after(begun: Odometry, begin: Begin) -> Begin:
+    """As ``begin``, but for the system of the first frame, which is at hand."""
+    return lambda seed, first, back: begin(seed, first, back) if first or back is not None else begun
 
 
 def _in_order(sequence: Sequence, order: np.ndarray) -> Sequence:

@@ -142,15 +142,13 @@ def test_an_unknown_system_is_an_error_of_the_programs(monkeypatch):
 
 
 def test_recoveries_of_dual_slam_over_a_system_are_judged_in_both_arms(monkeypatch):
-    of = unit("orb", system="dual(base)", settings={"framework": {"start_poses": 15}})
+    of = unit("orb", system="dual(base)", settings={"framework": {"start_poses": 20}})
     calm = run(monkeypatch, SEQUENCE, of)
     assert (calm["outcome"], calm["breakage"], calm["free_r1_failed"]) == ("completed", False, None)
     crossed = {name: calm[f"cross_r1_{name}"] for name in ("failed", "declared", "false")}
     assert crossed == {"failed": False, "declared": True, "false": False}
     assert abs(calm["cross_r1_scale_error"]) < 0.05 and calm["cross_frames_to_cross"] > END - ONSET
     blind = run(monkeypatch, synthetic(range(ONSET + 5, END)), of)
-    assert (blind["breakage"], blind["free_r1_failed"], blind["cross_r1_stage"]) == (
-        True,
-        True,
-        "propagation",
-    )
+    assert (blind["breakage"], blind["free_r1_failed"]) == (True, True)
+    # In the free arm the base finds back by itself; where it is cut, only the recovery can, behind the gap.
+    assert (blind["free_r1_stage"], blind["cross_r1_failed"]) == ("no_reinit", False)
