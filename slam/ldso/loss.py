@@ -1,9 +1,10 @@
 """The rule by which direct tracking is declared lost.
 
-A direct method aligns any image somehow. A frame is lost if it shows hardly any of the newest keyframe's
-points; if it does not look like them: patterns do not correlate with theirs, which no change of brightness
-feigns and noise alone does not hide; or if its pose is not known, by what its image says and what is expected
-of the camera's motion (:mod:`slam.ldso.motion`).
+A direct method aligns any image somehow. A frame tells nothing if it shows hardly any of the newest
+keyframe's points, or if it does not look like them: patterns do not correlate with theirs, which no change of
+brightness feigns and noise alone does not hide. Tracking is lost when the pose is not known, by what images
+say and what is expected of the camera's motion (:mod:`slam.ldso.motion`): frames that tell nothing are passed
+over, without a pose, for as long as it is.
 """
 
 from dslab.slam.ldso.config import LossConfig

@@ -66,6 +66,14 @@ class MotionFilter:
         retract(np.ascontiguousarray(T_last), self.velocity * _units(depth), T)
         return T, self._predicted()[:6, :6]
 
+    def unseen(self) -> float:
+        """Largest standard deviation of the next pose, in usual depths and rad, if no image tells of it."""
+        return float(np.sqrt(np.linalg.eigvalsh(self._predicted()[:6, :6])[-1]))
+
+    def pass_over(self) -> None:
+        """Go on by a frame that tells nothing."""
+        self.covariance = self._predicted()
+
     def _predicted(self) -> np.ndarray:
         F = np.kron([[1.0, 1.0], [0.0, 1.0]], np.eye(6))
         Q = np.maximum(_OF_MEDIAN * np.median(np.square(self._innovations), axis=0), _LEAST**2)

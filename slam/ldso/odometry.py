@@ -13,7 +13,6 @@ import numpy as np
 from dslab.slam.core.camera import PinholeCamera, distort_residual, undistort_residual
 from dslab.slam.core.geometry import ViewGeometry
 from dslab.slam.core.results import MapTrajectory
-from dslab.slam.direct.alignment import fan
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.rays import LEAST_NOISE
 from dslab.slam.direct.selection import select
@@ -27,6 +26,7 @@ from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_poi
 from dslab.slam.ldso.motion import SHARED, MotionFilter
 from dslab.slam.ldso.points import Immature
 from dslab.slam.ldso.tracking import SURE, Expected, PhotometricTracker, Tracked, TrackingReference
+from dslab.slam.ldso.turn import level_of, turn_between
 from dslab.slam.ldso.window import Keyframe, Window
 from dslab.slam.optimization.sim3 import sim3_decompose
 
@@ -98,6 +98,9 @@ class Odometry:
         self._last_error, self._last_likeness = _FIRST_ERROR, 1.0
         self._affine = np.zeros(2)  # of the last frame relative to the reference
         self._exposure = 0.0  # of the last frame
+        self._turn_level = level_of([round(2 * c[2]) + 1 for c in intrinsics])
+        self._last_view: np.ndarray | None = None  # of the last frame, on that level
+        self._carried: np.ndarray | None = None  # pose of the last frame, if it was passed over
 
     # -- tracking ----------------------------------------------------------------------------------------
 
@@ -114,18 +117,21 @@ class Odometry:
         affine = self._affine + np.array([exposure - self._exposure, 0.0])
         more = exposure - self.keyframes[-1].exposure
         self._exposure = exposure
-        T, covariance = self.motion.ahead(self._newest_frames()[0], self.depth)
+        T, covariance = self.motion.ahead(self._last_pose(), self.depth)
         T = T @ np.linalg.inv(self.window.T_cam_map[self.window.newest])
         variance = SHARED * max(self._last_error, LEAST_NOISE) ** 2
         expected = Expected(T, np.linalg.inv(covariance), variance)
-        return self._tracker.track(self._reference, pyramid, self._guesses(T), affine, usual, more, expected)
+        return self._tracker.track(
+            self._reference, pyramid, self._guesses(T, pyramid), affine, usual, more, expected
+        )
 
     def take(self, frame: int, stamp_s: float, pyramid: ImagePyramid, tracked: Tracked) -> bool:
         """Take a tracked frame: narrow the depths of points by it; True if it should become a keyframe."""
-        last, _ = self._newest_frames()
         T = tracked.T_frame_ref @ self.window.T_cam_map[self.window.newest]
-        self.motion.take(last, T, _weighed(tracked), self.depth)
+        self.motion.take(self._last_pose(), T, _weighed(tracked), self.depth)
+        self._carried = None
         self.place(frame, stamp_s, tracked.T_frame_ref)
+        self._last_view = pyramid.levels[self._turn_level][..., 0]
         self._affine = tracked.affine
         self._last_error, self._last_likeness = tracked.error, tracked.likeness
         if np.isnan(self._first_error):
@@ -134,6 +140,14 @@ class Odometry:
         self.search(pyramid, T, affine, tracked.error)
         demand = tracked.demand(self._camera.width_px, self._camera.height_px, self.config.keyframes)
         return demand > 1.0 or tracked.error > self.config.keyframes.most_error * self._first_error
+
+    def pass_over(self) -> bool:
+        """Go on by a frame that shows nothing of the map; False if the pose is not known then any more."""
+        if not self.motion.unseen() < self.config.loss.max_uncertainty:
+            return False
+        self._carried, _ = self.motion.ahead(self._last_pose(), self.depth)
+        self.motion.pass_over()
+        return True
 
     def place(self, frame: int, stamp_s: float, T_cam_keyframe: np.ndarray) -> None:
         """Keep the pose of a frame relative to the newest keyframe."""
@@ -147,15 +161,21 @@ class Odometry:
         photometric = self.config.photometric
         w.immature.search(pyramid, self.intrinsics[0], motions, affines, noise, photometric)
 
-    def _guesses(self, expected: np.ndarray) -> Iterator[np.ndarray]:
+    def _guesses(self, expected: np.ndarray, pyramid: ImagePyramid) -> Iterator[np.ndarray]:
         """Motions from the newest keyframe that are tried: the expected one, none, and turned ones."""
-        last, _ = self._newest_frames()
+        last = self._newest_frames()[0] @ np.linalg.inv(self.window.T_cam_map[self.window.newest])
         yield expected
-        yield last @ np.linalg.inv(self.window.T_cam_map[self.window.newest])
-        yield from fan(expected, self.intrinsics)[1:]
+        yield last
+        if self._last_view is not None:
+            level = self._turn_level
+            yield turn_between(self._last_view, pyramid.levels[level][..., 0], self.intrinsics[level]) @ last
+
+    def _last_pose(self) -> np.ndarray:
+        """(4, 4) map to camera, of the last frame; as expected if it was passed over."""
+        return self._newest_frames()[0] if self._carried is None else self._carried
 
     def _newest_frames(self) -> tuple[np.ndarray, np.ndarray]:
-        """(4, 4) poses, map to camera, of the last frame and the one before."""
+        """(4, 4) poses, map to camera, of the last two frames that have one, the newest first."""
         newest = [self.pose(index) for index in islice(reversed(self.frames), 2)]
         return newest[0], newest[-1]
 

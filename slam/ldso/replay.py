@@ -44,7 +44,9 @@ def replayed(
         pyramid = rectifier.pyramid(item.image)
         tracked = odometry.track(pyramid, item.exposure)
         if tracked is None or reason_of_loss(tracked, odometry.uncertainty(tracked), config):
-            return None
+            if not odometry.pass_over():
+                return None
+            continue
         if odometry.take(item.frame, item.stamp_s, pyramid, tracked):
             odometry.add_keyframe(item.frame, item.stamp_s, item.image, pyramid, tracked)
             left += odometry.left

@@ -144,6 +144,8 @@ class DsoSlam:
         uncertainty = odometry.uncertainty(tracked) if tracked is not None else np.inf
         reason = reason_of_loss(tracked, uncertainty, self.dso.loss)
         if tracked is None or reason:
+            if odometry.pass_over():
+                return self._result(index, stamp_s, None, 0, reason)
             self._break(index, stamp_s, odometry, reason)
             return self._result(index, stamp_s, None, 0, reason)
         with self._timer("search"):
@@ -286,11 +288,12 @@ class DsoSlam:
             mask = np.ones(len(keypoints), bool)
         ms, cpu_ms = self._timer.read()
         mapping_ms, loop_ms = self._mapping_ms, self._loop_ms
+        is_passed_over = odometry is None and self.state is TrackingState.TRACKING
         self._mapping_ms = self._loop_ms = 0.0
         return TrackingResult(
             frame=index,
             stamp_s=stamp_s,
-            state=self.state,
+            state=TrackingState.LOST if is_passed_over else self.state,
             T_map_cam=T,
             map_id=self.current_map_id,
             inliers=inliers,
@@ -337,9 +340,9 @@ class DsoSlam:
         Args:
             image: (H, W) uint8 that frame.
         """
-        if self.state is not TrackingState.TRACKING:
+        odometry = self._maps.get(self.current_map_id)
+        if odometry is None or self.frames - 1 not in odometry.frames:
             return None
-        odometry = self._maps[self.current_map_id]
         uv, residual = odometry.residuals(self.frames - 1, self._rectifier.pyramid(image))
         window = odometry.window
         return PhotometricView(

@@ -10,7 +10,7 @@ from dslab.slam.factory import build_system
 from dslab.slam.invariants import InvariantError, check_result, check_system
 from dslab.slam.toy_sequence import CAMERA, toy_frames
 
-FRAMES, BLANK = 80, range(44, 47)
+FRAMES, BLANK = 150, range(44, 114)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,39 @@
+"""The turn of a camera between two frames, by where all that it sees has gone: for turns that no step-by-step
+alignment follows.
+
+Source: Klein, Murray, "Improving the agility of keyframe-based SLAM", ECCV 2008, Sec. 3.4, which aligns small
+blurred images; the shift is found at once here, by Kuglin, Hines, "The phase correlation image alignment
+method", 1975.
+"""
+
+import cv2
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+_LEAST_WIDTH_PX = 64
+
+
+def level_of(widths_px: list[int]) -> int:
+    """The coarsest level on which a turn is sought."""
+    return max((level for level, width in enumerate(widths_px) if width >= _LEAST_WIDTH_PX), default=0)
+
+
+def turn_between(before: np.ndarray, now: np.ndarray, intrinsics: np.ndarray) -> np.ndarray:
+    """The rotation between two images, as a motion without translation.
+
+    Args:
+        before, now: (H, W) float32 images of one level; NaN where nothing is seen.
+        intrinsics: (4,) of that level.
+
+    Returns:
+        (4, 4) from the first camera to the second.
+    """
+    before, now = (np.nan_to_num(image, nan=float(np.nanmean(image))) for image in (before, now))
+    window = cv2.createHanningWindow((now.shape[1], now.shape[0]), cv2.CV_32F)
+    shift, _ = cv2.phaseCorrelate(before - before.mean(), now - now.mean(), window)
+    x, y = np.array(shift) / intrinsics[:2]
+    axis = np.array([-y, x, 0.0])  # of the turn that takes the optical axis to (x, y, 1)
+    angle = np.hypot(x, y)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(axis / max(angle, 1e-12) * np.arctan(angle)).as_matrix()
+    return T
