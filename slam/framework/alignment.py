@@ -4,16 +4,19 @@ Orientations alone give the rotation, as a straight path leaves it open: the med
 Weiszfeld's algorithm. Positions give the rest, by weights that make it a median too; the scale is Horn's
 symmetric one, which neither side's noise biases.
 
-A similarity is believed if its halves are: the frames are cut where half of the motion lies behind, and each
-half has a similarity of its own. They agree in scale and rotation, and what is left of the positions is small
-against the motion, within what a seam may be off by. Trajectories that drift, that differ in scale from place
-to place, or that only turn, do not.
+A similarity is believed if its quarters are: the frames are cut where each quarter of the motion lies behind,
+and each has a similarity of its own. From the four scales follows how well theirs is known: the interval that
+holds it in 95 of 100 cases (Student's t of three degrees of freedom) has to lie within what a seam may be off
+by. So have the four rotations, and what is left of the positions against the motion. Trajectories that drift,
+that differ in scale from place to place, or that only turn, do not. Two halves do not tell: their one
+difference may be small by chance.
 
 Source: Hartley, Aftab, Trumpf, "L1 rotation averaging using the Weiszfeld algorithm", 2011; Horn,
 "Closed-form solution of absolute orientation using unit quaternions", 1987, Sec. 2.D.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,18 +27,22 @@ from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_matrix
 _ROUNDS = 20
 _LEAST_ANGLE = 1e-4  # rad; nearer ones count alike
 _LEAST_SHARE = 0.1  # of the median residual; smaller ones count alike
-_LEAST_HALF = 5
-"""Poses of a half: five tell a scale that agrees from one that happens to."""
+_QUARTERS = 4
+_LEAST_QUARTER = 5
+"""Poses of a quarter: their positions have a spread in all directions."""
+LEAST_POSES = _QUARTERS * _LEAST_QUARTER
+"""Common poses without which nothing is aligned."""
+_T_95 = 3.182  # Student's t, three degrees of freedom, both sides
 
 
 @settings
 class SeamConfig:
-    """How far two halves may differ: what a seam may be off by (:class:`experiments.evaluation.audit`)."""
+    """What a seam may be off by (:class:`experiments.evaluation.audit`), and an alignment with it."""
 
-    scale_share: float = setting(0.1, "difference of the halves' scales, of one of them", gt=0)
-    rotation_deg: float = setting(5.0, "difference of the halves' rotations", gt=0)
+    scale_share: float = setting(0.1, "half of the interval of the scale, by its quarters", gt=0)
+    rotation_deg: float = setting(5.0, "rotation of a quarter against that of all", gt=0)
     position_share: float = setting(0.05, "root mean square position left, of the motion", gt=0)
-    window: int = setting(40, "most frames that are aligned, those nearest to the gap", ge=10)
+    window: int = setting(40, "most frames that are aligned, those nearest to the gap", ge=LEAST_POSES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,26 +62,36 @@ class Aligned:
 
 def align(T_a: np.ndarray, T_b: np.ndarray, config: SeamConfig) -> Aligned:
     """Align poses (N, 4, 4), camera to map a, of the same frames with poses, camera to map b."""
-    if len(T_a) < 2 * _LEAST_HALF:
+    if len(T_a) < LEAST_POSES:
         return Aligned(np.eye(4), len(T_a), "too_short")
     S = similarity(T_a, T_b)
-    walked = np.cumsum(np.linalg.norm(np.diff(T_b[:, :3, 3], axis=0), axis=1))
-    cut = int(np.searchsorted(walked, 0.5 * walked[-1])) + 1
-    cut = min(max(cut, _LEAST_HALF), len(T_a) - _LEAST_HALF)
-    halves = [sim3_decompose(similarity(T_a[rows], T_b[rows])) for rows in (slice(cut), slice(cut, None))]
-    (s_1, R_1, _), (s_2, R_2, _) = halves
-    turned = np.rad2deg(Rotation.from_matrix(R_1 @ R_2.T).magnitude())
+    parts = [slice(i, j) for i, j in pairwise(_cuts(T_b[:, :3, 3]))]
+    quarters = [sim3_decompose(similarity(T_a[rows], T_b[rows])) for rows in parts]
+    scales = np.log([s for s, _, _ in quarters])
+    off = _T_95 * np.std(scales, ddof=1) / np.sqrt(_QUARTERS)
+    R = np.array([R for _, R, _ in quarters])
+    turned = np.rad2deg(Rotation.from_matrix(R @ sim3_decompose(S)[1].T).magnitude())
     spread = T_b[:, :3, 3] - T_b[:, :3, 3].mean(axis=0)
     motion = np.sqrt(12.0 * np.mean((spread**2).sum(axis=1)))  # length of a straight path of that spread
     left = np.sqrt(np.mean(residuals(S, T_a, T_b) ** 2))
     refused = ""
     if not left < config.position_share * motion:
         refused = "residual"
-    elif not abs(np.log(s_1 / s_2)) < np.log1p(config.scale_share):
+    elif not off < np.log1p(config.scale_share):
         refused = "scale"
-    elif not turned < config.rotation_deg:
+    elif not turned.max() < config.rotation_deg:
         refused = "rotation"
     return Aligned(S, len(T_a), refused)
+
+
+def _cuts(p: np.ndarray) -> list[int]:
+    """Rows at which each quarter of the motion of positions (N, 3) begins, and N."""
+    walked, n = np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1)), len(p)
+    cuts = [0]
+    for k in range(1, _QUARTERS):
+        at = int(np.searchsorted(walked, k / _QUARTERS * walked[-1])) + 1
+        cuts.append(min(max(at, cuts[-1] + _LEAST_QUARTER), n - (_QUARTERS - k) * _LEAST_QUARTER))
+    return [*cuts, n]
 
 
 def similarity(T_a: np.ndarray, T_b: np.ndarray) -> np.ndarray:

@@ -36,11 +36,11 @@ class FrameworkConfig:
     buffer_s: float = setting(10.0, "span of the frames kept; the paper finds 10 s to work well", gt=0)
     buffer_cap_s: float = setting(30.0, "most that they grow to while a recovery is due", gt=0)
     least_poses: int = setting(10, "poses of a map that is kept at a breakage", ge=1)
-    start_poses: int = setting(30, "poses of the new map at which a recovery starts", ge=10)
+    start_poses: int = setting(30, "poses of the new map at which a recovery starts", ge=20)
     starts: int = setting(3, "times that it starts, each with twice the poses, until it succeeds", ge=1)
     lost_systems: int = setting(2, "lost systems that go on trying to find back, the largest maps first")
     exhaustive: bool = setting(False, "run every recovery thread, also after one has succeeded")
-    seam: SeamConfig = setting(SeamConfig(), "how far two halves of an alignment may differ")
+    seam: SeamConfig = setting(SeamConfig(), "how well an alignment has to be known")
 
 
 class DualOf:

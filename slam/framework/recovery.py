@@ -12,13 +12,16 @@ import numpy as np
 
 from dslab.slam.core.events import PlacedKeyframe
 from dslab.slam.core.relation import PlacedFrames, Relation
-from dslab.slam.framework.alignment import Aligned, SeamConfig, align
+from dslab.slam.framework.alignment import Aligned, SeamConfig, align, residuals
 from dslab.slam.framework.odometry import Fed, GivenFrame, Kind
 from dslab.slam.framework.pieces import JoinedMap
 from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_inverse
 
 _STRIDE = 5  # frames between two looks whether a saved map is reached
 _PLACED = 100  # most poses of a side that a relation states
+_DISAGREES = 3.0
+"""Distance of two poses of a frame, in median ones of the window, that by chance one in 10,000 exceeds (χ² of
+three degrees of freedom)."""
 _NONE = Aligned(np.eye(4), 0, "too_short")
 Poses = dict[int, np.ndarray]
 
@@ -168,8 +171,10 @@ def _stage(aligned: Aligned) -> tuple[str, str]:
 
 
 def _join(found: Recovered, old: JoinedMap, poses: Poses, own: Poses, entry: int, seam: SeamConfig) -> None:
-    """Note that a saved map is reached."""
-    last = sorted(set(own) & set(poses))[: seam.window][-1]
+    """Note that a saved map is reached, up to its newest pose that agrees: behind it the recovery's stand."""
+    common = np.array(sorted(set(own) & set(poses)))
+    off = residuals(found.to_old.S_b_a, *(np.array([of[f] for f in common]) for of in (own, poses)))
+    last = common[off <= _DISAGREES * np.median(off[: seam.window])][-1]
     found.old, found.old_poses, found.stage, found.reason = old, poses, "", ""
     found.bridge = {f: moved(found.to_old.S_b_a, T) for f, T in own.items() if last < f < entry}
     found.replaced = {f for f in poses if f > last and f in own}

@@ -90,7 +90,7 @@ def test_threads_run_in_order_until_one_succeeds_and_start_again_with_a_longer_m
     bad, good = Script(truth, blind={88}), Script(truth)
     system = dual_of(Script(truth, blind=set(GAP)).kind(), bad.kind("bad"), good.kind("good"))
     assert [e.method for e in system.events if isinstance(e, RecoveryEnd)] == ["bad", "good"]
-    late = Script(truth, after=45)  # begins too late for a short map
+    late = Script(truth, after=35)  # begins too late for a short map
     system = dual_of(Script(truth, blind=set(GAP)).kind(), late.kind())
     ends = [e for e in system.events if isinstance(e, RecoveryEnd)]
     assert [(e.success, e.frame) for e in ends] == [(False, 124), (True, 154)]
@@ -115,6 +115,17 @@ def test_poses_that_broke_the_map_are_replaced_by_the_recoverys():
     withdrawn = next(e for e in system.events if e.kind == "poses_withdrawn")
     assert (withdrawn.last_frame, withdrawn.reason) == (79, "passed_over_by_recovery")
     assert errors_m(system, truth).max() < 0.05
+
+
+def test_a_last_pose_that_nothing_but_the_recovery_contradicts_is_replaced():
+    truth = walk()
+    wrong = truth.copy()
+    wrong[79, :3, 3] += 0.5
+    noise = {"noise": 0.005}
+    system = dual_of(Script(wrong, blind=set(GAP), **noise).kind(), Script(truth, **noise).kind())
+    withdrawn = next(e for e in system.events if e.kind == "poses_withdrawn")
+    assert (withdrawn.first_frame, withdrawn.last_frame) == (79, 79)
+    assert errors_m(system, truth).max() < 0.1
 
 
 def test_a_lost_system_that_finds_back_goes_on_in_its_map():

@@ -1,4 +1,4 @@
-"""Alignment of trajectories by a similarity that its halves judge."""
+"""Alignment of trajectories by a similarity that its quarters judge."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_a_similarity_is_found_again_though_a_quarter_of_the_poses_is_wrong():
     other = moved(S, noisy(T, 0.005))
     other[::4, :3, 3] += [2.0, -3.0, 1.0]
     other[::4, :3, :3] = Rotation.from_rotvec([0.4, 0.2, 0.0]).as_matrix() @ other[::4, :3, :3]
-    found = align(T, other, SeamConfig(position_share=10.0))
+    found = align(T, other, SeamConfig(position_share=10.0, scale_share=1.0))
     s, R, t = sim3_decompose(found.S_b_a)
     assert found.refused == "" and found.poses == 40
     assert s == pytest.approx(2.5, rel=0.01)
@@ -60,7 +60,13 @@ def test_what_cannot_be_aligned_is_refused_with_a_reason():
     curling = T.copy()
     bend = Rotation.from_rotvec(np.outer(np.linspace(0, 0.25, 40), [0, 1, 0])).as_matrix()
     curling[:, :3, :3] = bend @ T[:, :3, :3]
-    assert align(T[:9], T[:9], SEAM).refused == "too_short"
+    breathing = T.copy()  # its halves agree
+    breathing[:, :3, 3] = np.cumsum(
+        np.diff(T[:, :3, 3], axis=0, prepend=0) * (1 + 0.12 * (np.abs(np.arange(40) - 19.5) < 10))[:, None],
+        axis=0,
+    )
+    assert align(T[:19], T[:19], SEAM).refused == "too_short"
+    assert align(T, breathing, SeamConfig(scale_share=0.08)).refused == "scale"
     assert align(turning, other_turn, SEAM).refused == "residual"
     assert align(T, growing, SEAM).refused == "scale"
     assert align(T, curling, SEAM).refused == "rotation"
