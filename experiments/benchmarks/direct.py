@@ -2,7 +2,7 @@
 
 Rendered pairs of frames, one to ten apart. The reference's pixels have their exact depth, so that what is
 measured is the alignment alone. The guesses are those of the direct thread: the motion before the first frame
-goes on, with a fan of small turns about it, slower and faster, and none.
+goes on, slower and faster, none, and as the whole image has turned.
 """
 
 import time
@@ -123,7 +123,7 @@ class _Views:
         velocity = np.linalg.inv(self._T_world_cam[self._start]) @ self._T_world_cam[self._start - 1]
         found = []
         for gap in GAPS:
-            guesses = guesses_ahead(velocity, gap, self._rectifier.intrinsics)
+            guesses = guesses_ahead(velocity, gap)
             target = self._pyramid(self._start + gap)
             aligned = self._timed("alignment", align, self._view, target, guesses)
             if aligned is not None:

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -25,13 +24,11 @@ from dslab.slam.direct._alignment_kernels import (
     sample_patterns,
 )
 from dslab.slam.direct.pyramid import ImagePyramid
-from dslab.slam.optimization._se3 import retract
 
 _SPACING_PX = 2  # of points on the coarser levels, where more would see the same pixels
 _DAMPING = 1e-2
 _LEAST_DAMPING = 1e-6
 _LEAST_INFORMATION = 1e-9
-_FAN_PX = 1.5
 _LEAST_CONTRAST = 0.5
 _LARGE_GAIN = 0.3  # as a logarithm
 _LARGE_OFFSET = 30.0
@@ -223,25 +220,6 @@ def align(
         if not states:
             return None
     return states[0].result(reference, target, finest)
-
-
-def fan(T_target_ref: np.ndarray, intrinsics: np.ndarray) -> list[np.ndarray]:
-    """A guess and small turns of it about all axes, as large as the coarsest level needs.
-
-    Args:
-        T_target_ref: (4, 4) guess.
-        intrinsics: (L, 4) of the levels.
-
-    Returns:
-        27 guesses, the given one first.
-    """
-    turn = _FAN_PX / intrinsics[-1][0]
-    guesses = []
-    for axes in sorted(product((-1.0, 0.0, 1.0), repeat=3), key=lambda a: sum(map(abs, a))):
-        T = np.eye(4)
-        retract(T_target_ref, turn * np.array([0.0, 0.0, 0.0, *axes]), T)
-        guesses.append(T)
-    return guesses
 
 
 class _Model(NamedTuple):

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from dslab.slam.core.settings import GREY, setting, settings
-from dslab.slam.direct.alignment import Aligned, PhotometricAlignmentConfig, Reference, align, fan
+from dslab.slam.direct.alignment import Aligned, PhotometricAlignmentConfig, Reference, align
 from dslab.slam.direct.blur import align_through_blur
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
+from dslab.slam.direct.turn import level_of, turn_between
 
 _SPEEDS = (0.65, 0.8, 1.25, 1.5)  # of the predicted motion over a gap that are tried too
 _LONG_GAP = 3
@@ -73,9 +74,12 @@ def place(
         source, target: the images.
         rectifier: that made them.
         velocity: (4, 4) motion per frame, along which images are blurred; None where unknown.
-        guesses: (4, 4) motions, source to target.
+        guesses: (4, 4) motions, source to target, to which the turn of the whole image is added.
         config: what is believed.
     """
+    level = level_of(target)
+    images = (pyramid.levels[level][..., 0] for pyramid in (source, target))
+    guesses = [*guesses, turn_between(*images, rectifier.intrinsics[level])]
     found = align(view, target, guesses)
     sharp = found is not None and config.looks_alike(found)
     if not sharp:
@@ -87,18 +91,17 @@ def place(
     return Placement(found, sharp)
 
 
-def guesses_ahead(velocity: np.ndarray | None, gap: int, intrinsics: np.ndarray) -> list[np.ndarray]:
-    """Motions over ``gap`` frames that are tried: at constant velocity, slightly turned, other speeds, none.
+def guesses_ahead(velocity: np.ndarray | None, gap: int) -> list[np.ndarray]:
+    """Motions over ``gap`` frames that are tried: at constant velocity, other speeds, none.
 
     Args:
         velocity: (4, 4) motion of one frame; None for none.
         gap: number of frames.
-        intrinsics: (L, 4) of the levels.
     """
     velocity = velocity if velocity is not None else np.eye(4)
     steps = [gap] + [max(1, round(gap * speed)) for speed in _SPEEDS if gap > _LONG_GAP]
     ahead = [np.linalg.matrix_power(velocity, step) for step in steps]
-    return [*fan(ahead[0], intrinsics), *ahead[1:], np.eye(4)]
+    return [*ahead, np.eye(4)]
 
 
 def _through_blur(

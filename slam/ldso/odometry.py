@@ -16,6 +16,7 @@ from dslab.slam.core.results import MapTrajectory
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.rays import LEAST_NOISE
 from dslab.slam.direct.selection import select
+from dslab.slam.direct.turn import level_of, turn_between
 from dslab.slam.ldso.activation import activate
 from dslab.slam.ldso.adjustment import adjust
 from dslab.slam.ldso.brightness import composed, relative
@@ -26,7 +27,6 @@ from dslab.slam.ldso.marginalisation import leaving, remove_keyframe, remove_poi
 from dslab.slam.ldso.motion import SHARED, MotionFilter
 from dslab.slam.ldso.points import Immature
 from dslab.slam.ldso.tracking import SURE, Expected, PhotometricTracker, Tracked, TrackingReference
-from dslab.slam.ldso.turn import level_of, turn_between
 from dslab.slam.ldso.window import Keyframe, Window
 from dslab.slam.optimization.sim3 import sim3_decompose
 
@@ -98,8 +98,7 @@ class Odometry:
         self._last_error, self._last_likeness = _FIRST_ERROR, 1.0
         self._affine = np.zeros(2)  # of the last frame relative to the reference
         self._exposure = 0.0  # of the last frame
-        self._turn_level = level_of([round(2 * c[2]) + 1 for c in intrinsics])
-        self._last_view: np.ndarray | None = None  # of the last frame, on that level
+        self._last_view: np.ndarray | None = None  # of the last frame, on the level on which turns are sought
         self._carried: np.ndarray | None = None  # pose of the last frame, if it was passed over
 
     # -- tracking ----------------------------------------------------------------------------------------
@@ -131,7 +130,7 @@ class Odometry:
         self.motion.take(self._last_pose(), T, _weighed(tracked), self.depth)
         self._carried = None
         self.place(frame, stamp_s, tracked.T_frame_ref)
-        self._last_view = pyramid.levels[self._turn_level][..., 0]
+        self._last_view = pyramid.levels[level_of(pyramid)][..., 0]
         self._affine = tracked.affine
         self._last_error, self._last_likeness = tracked.error, tracked.likeness
         if np.isnan(self._first_error):
@@ -167,7 +166,7 @@ class Odometry:
         yield expected
         yield last
         if self._last_view is not None:
-            level = self._turn_level
+            level = level_of(pyramid)
             yield turn_between(self._last_view, pyramid.levels[level][..., 0], self.intrinsics[level]) @ last
 
     def _last_pose(self) -> np.ndarray:

@@ -16,7 +16,7 @@ from dslab.slam.core.frame import Frame
 from dslab.slam.core.geometry import share_of_motion
 from dslab.slam.core.settings import setting, settings
 from dslab.slam.core.timing import StageTimer
-from dslab.slam.direct.alignment import Reference, fan
+from dslab.slam.direct.alignment import Reference
 from dslab.slam.direct.placement import PlacementConfig, place
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.selection import SelectionConfig, select
@@ -172,7 +172,7 @@ class Rescue:
             return None
         view = Reference(source, intrinsics, xy, 1 / xyz[:, 2], config.placement.alignment)
         T_ref_map = map_.T_cam_map(row)
-        guesses = [*fan(predicted @ np.linalg.inv(T_ref_map), intrinsics), np.eye(4)]
+        guesses = [predicted @ np.linalg.inv(T_ref_map), np.eye(4)]
         placed = place(view, xyz, source, target, self._rectifier, velocity, guesses, config.placement)
         return None if placed.found is None else np.ascontiguousarray(placed.found.T_target_ref @ T_ref_map)
 

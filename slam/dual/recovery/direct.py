@@ -172,7 +172,7 @@ class DirectTracker(TrackTracker):
         xyz, xy = reference.xyz_cam[rows], reference.xy[rows]
         view = Reference(reference.pyramid, rectifier.intrinsics, xy, 1 / xyz[:, 2], config.alignment)
         gap = abs(reference.frame.features.index - frame.features.index)
-        guesses = guesses_ahead(self.velocity, gap, rectifier.intrinsics)
+        guesses = guesses_ahead(self.velocity, gap)
         placed = place(view, xyz, reference.pyramid, pyramid, rectifier, self.velocity, guesses, config)
         if placed.found is None:
             return TrackingOutcome(False, 0, len(rows), placed.reason)

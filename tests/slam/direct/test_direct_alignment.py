@@ -18,7 +18,7 @@ from dslab.slam.direct._alignment_kernels import (
 )
 from dslab.slam.direct._blur_kernels import line_of_light
 from dslab.slam.direct._outer_products import add_outer_products
-from dslab.slam.direct.alignment import Reference, align, fan
+from dslab.slam.direct.alignment import Reference, align
 from dslab.slam.direct.pyramid import ImagePyramid, Rectifier
 from dslab.slam.direct.selection import select
 from dslab.slam.optimization._se3 import retract
@@ -231,15 +231,6 @@ def test_a_known_motion_is_found(twist, brightness):
     assert np.degrees(np.arccos(np.clip((np.trace(off[:3, :3]) - 1) / 2, -1, 1))) < 0.05
     np.testing.assert_allclose(np.exp(found.affine[0]), brightness[0], atol=0.05)
     assert np.linalg.eigvalsh(found.information).min() > 0
-
-
-def test_a_fan_of_turns_finds_what_one_guess_misses():
-    turn = motion([0, 0, 0, 0.03, 0.07, -0.09])
-    ref, target = reference(), RECTIFIER.pyramid(view(turn)[0])
-    assert not np.allclose(align(ref, target, [np.eye(4)]).T_target_ref, turn, atol=5e-3)
-    guesses = fan(np.eye(4), RECTIFIER.intrinsics)
-    np.testing.assert_array_equal(guesses[0], np.eye(4))
-    np.testing.assert_allclose(align(ref, target, guesses).T_target_ref, turn, atol=2e-3)
 
 
 def test_the_best_of_several_guesses_is_followed():

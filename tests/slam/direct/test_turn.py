@@ -6,8 +6,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dslab.slam.core.camera import PinholeCamera
+from dslab.slam.direct.pyramid import Rectifier
+from dslab.slam.direct.turn import level_of, turn_between
 from dslab.slam.factory import build_system
-from dslab.slam.ldso.turn import level_of, turn_between
 
 SIDE_PX, FOCAL_PX = 2000, 300.0
 
@@ -51,9 +52,17 @@ def test_a_turn_is_found_to_a_degree_or_two(wall, degrees):
     assert off < 1.5 + about_axis and not T[:3, 3].any()
 
 
-def test_the_level_is_the_coarsest_that_still_shows_something():
-    assert level_of([320, 160, 80, 40]) == 2 and level_of([640, 320, 160, 80, 40]) == 3
-    assert level_of([48, 24]) == 0
+@pytest.mark.parametrize("value", [0.0, 255.0])
+def test_an_image_without_contrast_tells_no_turn(value):
+    blank, other = np.full((60, 80), value, np.float32), np.eye(60, 80, dtype=np.float32)
+    for images in ((blank, other), (other, blank), (blank, blank)):
+        np.testing.assert_array_equal(turn_between(*images, np.array([62.5, 62.5, 39.5, 29.5])), np.eye(4))
+
+
+@pytest.mark.parametrize(("width", "height", "level"), [(320, 240, 2), (640, 480, 3), (60, 50, 0)])
+def test_the_level_is_the_coarsest_that_still_shows_something(width, height, level):
+    camera = PinholeCamera(width, height, 250.0, 250.0, (width - 1) / 2, (height - 1) / 2, 15.0)
+    assert level_of(Rectifier(camera).pyramid(np.zeros((height, width), np.uint8))) == level
 
 
 def test_a_camera_that_turns_by_a_third_of_its_view_between_two_images_is_tracked(wall):
