@@ -15,6 +15,7 @@ LEAST_WORLDS = 10
 _KINDS_WITH_DOSES = 4
 _READINGS = ("of_sequences", "of_averages")
 _REFUTED = ("optimistic", "pessimistic")
+_FEW = 2  # systems, of which it is also said that they are not told apart
 _ASKED = (
     "Asked: does Dual-SLAM fail as rarely as Eq. 1 of its paper says, Pr(failure) = p₀ · prⁿ, as if the "
     "breakage of tracking (p₀) and the failure of each of n recovery threads (pr) were independent?"
@@ -80,28 +81,56 @@ def systems_answer(beside: dict[str, Any]) -> tuple[str, list[str]]:
         each.append(f"{world.replace('_', ' ')}: {said}" if len(worlds) > 1 else said)
     if not each:
         return "No trial under stress is completed.", []
-    sentences = []
+    sentences, untold = [], 0
     for pair in beside["over_doses"]:
         if pair["failure"] == "mission_failure":
             surely = pair["p"] is not None and pair["p"] <= LEVEL
+            if not surely and len(beside["names"]) > _FEW:
+                untold += 1
+                continue
             than = "less" if pair["difference"] < 0 else "more"
             verdict = f"fails {than} often than" if surely else "is not told from"
-            points, p = 100 * pair["difference"], p_value(pair["p"])
-            p = p if p.startswith("<") else f"= {p}"
+            points = 100 * pair["difference"]
             sentences.append(
                 f"{pair['first']} {verdict} {pair['second']} ({pair['world'].replace('_', ' ')}: "
-                f"{points:+.1f} points over {plural(pair['worlds'], 'world')}, p {p})."
+                f"{points:+.1f} points over {plural(pair['worlds'], 'world')}, p {_equals(pair['p'])})."
             )
-    return f"Missions that fail under stress: {'; '.join(each)}.", sentences
+    if untold:
+        sentences.append(f"{plural(untold, 'more comparison')} of two systems tell none from the other.")
+    return f"Missions that fail under stress: {'; '.join(each)}.", [*_gains(beside["gains"]), *sentences]
+
+
+def _gains(gains: list[dict[str, Any]]) -> list[str]:
+    """What Dual-SLAM gains over each system, in a sentence."""
+    sentences = []
+    for pair in dict.fromkeys((g["missions"]["first"], g["missions"]["second"]) for g in gains):
+        own = [g for g in gains if (g["missions"]["first"], g["missions"]["second"]) == pair]
+        each = [
+            f"{g['missions']['image'].replace('_', ' ')}: {g['fails']} to {g['fails_with']} of "
+            f"{g['missions']['units']}, p {_equals(g['missions']['p'])}"
+            for g in own
+        ]
+        rescuable, recovered, joins, false = (
+            sum(g[name] for g in own) for name in ("rescuable", "recovered", "joins", "false")
+        )
+        sentences.append(
+            f"Missions of {pair[0]} that fail, alone and as {pair[1]}: {'; '.join(each)}. Of "
+            f"{plural(rescuable, 'breakage')} that images can recover {recovered} are; of "
+            f"{plural(joins, 'declared join')} {false} are false."
+        )
+    return sentences
+
+
+def _equals(p: float | None) -> str:
+    said = p_value(p)
+    return said if said.startswith("<") else f"= {said}"
 
 
 def _of_eq1(results: dict[str, Any]) -> Answer:
     analysis = results["analysis"]
     told = confirmed(analysis["cells"])
     if not results["asks_eq1"]:
-        said = (
-            "Eq. 1 is about recovery threads, which none of these systems has: they stand beside each other."
-        )
+        said = "Eq. 1 is about the threads of dual and paper: these systems stand beside each other."
         return Answer("Not asked: no system has recovery threads.", [said], [])
     if not results["free_arm"]:
         return Answer("Eq. 1 is not asked: only the crossing arm ran.", [*_crossings(results)], [])

@@ -41,9 +41,9 @@ def beside_each_other(spec: "ExperimentSpec", table: pd.DataFrame) -> dict[str, 
         table: records of all systems.
 
     Returns:
-        ``names`` of the systems, ``shares``, ``over_doses``, ``per_condition`` and ``about``; None for a
-        single system with recovery threads of which Eq. 1 is asked, or its threads alone: the other parts of
-        a report tell it.
+        ``names`` of the systems, ``shares``, ``over_doses``, ``per_condition``, ``gains`` and ``about``; None
+        for a single system with recovery threads of which Eq. 1 is asked, or its threads alone: the other
+        parts of a report tell it.
     """
     systems = labels(spec)
     names = list(dict.fromkeys(systems.values()))

@@ -7,7 +7,7 @@ from itertools import combinations, product
 import numpy as np
 import pandas as pd
 
-from dslab.experiments.eq1.records import SHAM, failure_column
+from dslab.experiments.eq1.records import SHAM, failure_column, thread_column
 from dslab.experiments.statistics.estimates import Figure
 from dslab.experiments.statistics.from_records import HomogeneousCell, cells_of
 from dslab.experiments.statistics.judged import share_by_world, share_of_part
@@ -81,6 +81,29 @@ class PairedDifference:
 
 
 @dataclass(frozen=True)
+class Gain:
+    """What Dual-SLAM over a system gains in one condition.
+
+    Attributes:
+        missions: failed missions of the system alone against those with Dual-SLAM over it. Its p is by Holm
+            over all gains under stress.
+        fails, fails_with: their numbers, alone and with it.
+        breakages: of the units with it, and ``rescuable`` those of them that images can recover at all.
+        recovered: of the rescuable, by a thread that is right.
+        joins: units in which a thread declares success, and ``false`` those in which one is wrong.
+    """
+
+    missions: PairedDifference
+    fails: int
+    fails_with: int
+    breakages: int
+    rescuable: int
+    recovered: int
+    joins: int
+    false: int
+
+
+@dataclass(frozen=True)
 class Systems:
     """Systems beside each other.
 
@@ -88,11 +111,13 @@ class Systems:
         shares: per cell and kind of world, shams among them.
         over_doses: per two systems, failure and kind of world, over all conditions with a dose.
         per_condition: likewise in each condition.
+        gains: of systems that stand beside Dual-SLAM over them, in each condition.
     """
 
     shares: tuple[SystemShares, ...]
     over_doses: tuple[PairedDifference, ...]
     per_condition: tuple[PairedDifference, ...]
+    gains: tuple[Gain, ...]
 
 
 def compare_systems(
@@ -114,6 +139,8 @@ def compare_systems(
     pooled: list[PairedDifference] = []
     tests: list[float] = []
     single: list[PairedDifference] = []
+    gains: list[Gain] = []
+    gain_tests: list[float] = []
     names, worlds = dict.fromkeys(systems.values()), dict.fromkeys(cell.world for cell in cells)
     for world, (first, second), failure in product(worlds, combinations(names, 2), columns):
         pairs = []
@@ -122,6 +149,9 @@ def compare_systems(
             pair = _paired(both, columns[failure]) if len(both) == 2 else pd.DataFrame()
             if len(pair) and pair.difference.notna().any():
                 single.append(_difference([pair], first, second, failure, world, image))
+                if failure == "mission_failure" and both[0].kind != SHAM and is_over(second, first):
+                    gains.append(_gain(single[-1], pair, both[1], threads))
+                    gain_tests.append(exchange_test(_by_world([pair]), rng))
                 if both[0].kind != SHAM:
                     pairs.append(pair)
         if pairs:
@@ -133,7 +163,16 @@ def compare_systems(
         ),
         tuple(replace(pair, p=float(p)) for pair, p in zip(pooled, holm(tests), strict=True)),
         tuple(single),
+        tuple(
+            replace(gain, missions=replace(gain.missions, p=float(p)))
+            for gain, p in zip(gains, holm(gain_tests), strict=True)
+        ),
     )
+
+
+def is_over(name: str, system: str) -> bool:
+    """True if ``name`` is Dual-SLAM over a system, whatever its recoveries are."""
+    return name.startswith("dual(") and name[len("dual(") : -1].split(",", maxsplit=1)[0] == system
 
 
 def exchange_test(by_world: Floats, rng: np.random.Generator) -> float:
@@ -227,3 +266,29 @@ def _difference(pairs: Sequence[pd.DataFrame], *about: str) -> PairedDifference:
         difference=figure.value,
         interval=difference_interval(figure) if len(by_world) > 1 and figure.error else None,
     )
+
+
+def _gain(missions: PairedDifference, pair: pd.DataFrame, over: HomogeneousCell, threads: int) -> Gain:
+    both = pair[pair.difference.notna()]
+    rows = over.rows.loc[over.counted]
+
+    def says(name: str) -> np.ndarray:
+        return _true(rows[[thread_column("free", j, name) for j in range(1, threads + 1)]])
+
+    broke, rescuable, joined = _true(rows["breakage"]), _true(rows["rescuable"]), says("declared")
+    right = (joined & ~says("failed")).any(axis=1)
+    return Gain(
+        missions,
+        fails=int(both.event_1.sum()),
+        fails_with=int(both.event_2.sum()),
+        breakages=int(broke.sum()),
+        rescuable=int((broke & rescuable).sum()),
+        recovered=int((broke & rescuable & right).sum()),
+        joins=int(joined.any(axis=1).sum()),
+        false=int((joined & says("false")).any(axis=1).sum()),
+    )
+
+
+def _true(known: pd.Series | pd.DataFrame) -> np.ndarray:
+    """Where something is known and true."""
+    return known.astype("boolean").fillna(value=False).to_numpy(bool)

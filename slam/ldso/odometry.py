@@ -256,7 +256,8 @@ class Odometry:
         uv, inverse_depth, information = self.window.seen_from(self.window.newest)
         # Half of a depth's error is its keyframe's, which it shares with others: weights are bounded.
         information = information + _LEAST_WEIGHT
-        weight = 1.0 / (1.0 / information + 1.0 / np.median(information))
+        usual = np.median(information) if len(information) else 1.0
+        weight = 1.0 / (1.0 / information + 1.0 / usual)
         self._reference = TrackingReference(pyramid, self.intrinsics, uv, inverse_depth, weight)
         self._affine, self._first_error = np.zeros(2), np.nan
 

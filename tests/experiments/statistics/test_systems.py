@@ -62,6 +62,31 @@ def test_a_sham_is_shown_and_not_tested_and_what_a_system_does_not_say_is_left_o
     assert shares["low_texture/1/b"].declares == ("nothing",)
 
 
+def test_what_dual_slam_gains_over_a_system_is_counted_and_tested_by_itself():
+    systems = {f"fog/1/{name}": name for name in ("a", "dual(a,recovery=b)", "b")}
+    images = dict.fromkeys(systems, "fog/1")
+    rows = [row("fog/1/a", i, i < 10, world_seed=i) for i in range(12)]
+    rows += [row("fog/1/b", i, i % 2 == 0, world_seed=i) for i in range(12)]
+    for i in range(12):
+        joins = i < 8
+        thread = {
+            "rescuable": i < 9,
+            "free_r1_declared": joins,
+            "free_r1_failed": i >= 7,
+            "free_r1_false": i == 7,
+        }
+        broke = i < 10
+        over = row("fog/1/dual(a,recovery=b)", i, broke, world_seed=i, **(thread if broke else {}))
+        rows.append(over | {"m1": 7 <= i < 10})
+    found = compare_systems(data_frame(rows, 1), 1, systems, images)
+    (gain,) = found.gains
+    assert (gain.missions.first, gain.missions.second) == ("a", "dual(a,recovery=b)")
+    assert (gain.fails, gain.fails_with, gain.missions.only_first, gain.missions.only_second) == (10, 3, 7, 0)
+    assert (gain.breakages, gain.rescuable, gain.recovered) == (10, 9, 7)
+    assert (gain.joins, gain.false) == (8, 1)
+    assert gain.missions.p == pytest.approx(2 * 0.5**7), "tested once: other pairs are not in its family"
+
+
 def test_exchanges_are_those_of_the_exact_test_of_signs():
     """With equal sizes the test of exchanges is the sign test; of a few worlds no p is small."""
     rng = np.random.default_rng(0)
