@@ -1,6 +1,7 @@
 """Dual-SLAM over any system of the lab: what each kind of system gives to ``slam.framework``."""
 
 from collections.abc import Sequence as Many
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from dslab.experiments.runs.systems.command import CommandSystem, run_command
 from dslab.experiments.runs.systems.own_class import ClassSystem
 from dslab.experiments.runs.systems.poses_only import PosesOnly
 from dslab.experiments.runs.systems.registry import DualSystem, OwnSystem, System
+from dslab.scenarios.errors import InputError
 from dslab.sim.sequence import ChosenFrames, Sequence
 from dslab.slam.core.camera import PinholeCamera
 from dslab.slam.core.events import Event
@@ -113,6 +115,8 @@ def dual_builder(
         begun: the forward system of the first frame, if it is at hand; for one run.
     """
     config = build.settings.framework if isinstance(build, SettingsFactory) else None
+    if any(isinstance(part, CommandSystem) for part in system.parts):
+        sequence = _readable(sequence)  # those that Dual-SLAM is given, and counts
 
     def made(name: str, camera: PinholeCamera, seed: int) -> DualRun:
         forward, *recoveries = (_kind(part, sequence, camera, build or build_system) for part in system.parts)
@@ -140,11 +144,9 @@ def _kind(system: System, sequence: Sequence, camera: PinholeCamera, build: Syst
         if isinstance(system, CommandSystem):
             order = np.arange(first, len(sequence)) if backward is None else np.array(backward)
             return ProgramRun(system, _in_order(sequence, order), seed, camera)
-        return (
-            system.build(camera, seed)
-            if isinstance(system, ClassSystem)
-            else build(system.name, camera, seed)
-        )
+        if isinstance(system, ClassSystem):
+            return system.build(camera, seed)
+        return build(system.name, camera, seed)
 
     return Kind(system.name, parts(system), begin)
 
@@ -152,6 +154,16 @@ def _kind(system: System, sequence: Sequence, camera: PinholeCamera, build: Syst
 def _after(begun: Odometry, begin: Begin) -> Begin:
     """As ``begin``, but for the system of the first frame, which is at hand."""
     return lambda seed, first, back: begin(seed, first, back) if first or back is not None else begun
+
+
+def _readable(sequence: Sequence) -> Sequence:
+    """The frames of a sequence that can be read."""
+    kept = []
+    for frame in range(len(sequence)):
+        with suppress(InputError):
+            sequence.frames[frame]
+            kept.append(frame)
+    return sequence.only(np.array(kept, int))
 
 
 def _in_order(sequence: Sequence, order: np.ndarray) -> Sequence:

@@ -132,6 +132,35 @@ def test_a_class_that_is_lost_from_the_first_frame_has_no_breakage(sequence):
     assert (record.trajectories, record.events) == ((), ())
 
 
+class Torn:
+    """Images of which one cannot be read."""
+
+    def __init__(self, images, torn):
+        self.images, self.torn = images, torn
+
+    def __len__(self):
+        return len(self.images)
+
+    def __getitem__(self, frame):
+        if frame == self.torn:
+            raise InputError(f"frame {frame}", "cannot be read", "leave it out")
+        return self.images[frame]
+
+
+def test_a_frame_that_cannot_be_read_shifts_no_segment_of_a_program(sequence, tmp_path):
+    fields = {"frames": "frames.csv", "lost_states": "[LOST]"}
+    made = program(tmp_path / "systems", sequence, STATES, **fields)
+    torn = replace(sequence, frames=Torn(sequence.frames, 20))
+    record = run_system(DualSystem("dual(copy)", made, (made,)), torn, 0)
+    (path,) = record.trajectories
+    assert len(path.frames) == FRAMES - 1 and record.unreadable_frames == 1
+    np.testing.assert_allclose(path.stamps_s, np.delete(sequence.stamps_s, 20))
+    truth = np.delete(sequence.T_world_cam, 20, axis=0)[:, :3, 3]
+    np.testing.assert_allclose(
+        path.T_map_cam[:, :3, 3] - path.T_map_cam[0, :3, 3], truth - truth[0], atol=1e-6
+    )
+
+
 def test_a_program_is_run_in_segments_forward_and_then_backward(sequence, tmp_path):
     fields = {"frames": "frames.csv", "lost_states": "[LOST]"}
     made = program(tmp_path / "systems", sequence, STATES, **fields)
