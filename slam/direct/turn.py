@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from dslab.slam.direct.pyramid import ImagePyramid
 
 _LEAST_WIDTH_PX = 64
+"""By hand: a pixel is then a degree of a view of 64, which alignment follows on its coarsest level."""
 
 
 def level_of(pyramid: ImagePyramid) -> int:
