@@ -12,7 +12,7 @@ import numpy as np
 
 from dslab.slam.core.events import PlacedKeyframe
 from dslab.slam.core.relation import PlacedFrames, Relation
-from dslab.slam.framework.alignment import Aligned, SeamConfig, align, residuals
+from dslab.slam.framework.alignment import Aligned, SeamConfig, SeenPoints, align, residuals
 from dslab.slam.framework.odometry import Fed, GivenFrame, Kind
 from dslab.slam.framework.pieces import JoinedMap
 from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_inverse
@@ -115,11 +115,11 @@ def recover(
         saved: maps that it may reach, the newest first.
         seam: how it is judged.
     """
-    new_poses = new.poses()
-    sought = [(m, m.poses()) for m in saved]
+    new_poses, new_points = new.poses(), new.points()
+    sought = [(m, m.poses(), m.points()) for m in saved]
     found = Recovered(new_poses=new_poses, times_s={frame.index: frame.stamp_s for frame in frames})
     fed = Fed(kind, seed, frames[-1].index, [frame.index for frame in reversed(frames)])
-    entry, reached = min(new_poses), max(max(poses) for _, poses in sought)
+    entry, reached = min(new_poses), max(max(poses) for _, poses, _ in sought)
     found.stage, found.reason = "overlap", "no_common_frames"
     for count, frame in enumerate(reversed(frames)):
         lost = fed.feed(frame)  # line 4: the next frame, backward in time
@@ -136,12 +136,13 @@ def recover(
             assert fed.result is not None
             found.stage, found.reason = "propagation", fed.result.reason or "not_initialized"
             break
-        found.to_new = _aligned(own, new_poses, seam)
+        camera, points = fed.system.camera, fed.points()
+        found.to_new = _aligned(own, new_poses, seam, SeenPoints(camera, points, new_points))
         if found.to_new.refused:
             found.stage, found.reason = _stage(found.to_new)
             break
-        for m, poses in sought:  # line 6: does it share enough with a saved map?
-            found.to_old = _aligned(own, poses, seam)
+        for m, poses, old_points in sought:  # line 6: does it share enough with a saved map?
+            found.to_old = _aligned(own, poses, seam, SeenPoints(camera, points, old_points))
             if not found.to_old.refused:
                 _join(found, m, poses, own, entry, seam)
                 break
@@ -155,14 +156,15 @@ def recover(
     return found
 
 
-def _aligned(own: Poses, other: Poses, seam: SeamConfig) -> Aligned:
+def _aligned(own: Poses, other: Poses, seam: SeamConfig, points: SeenPoints) -> Aligned:
     """The recovery's map against another, by common frames, those first in time.
 
     The new map's first frames lie next to the gap. A saved map's last ones may be what broke it: the window
     moves on with the recovery, backward, until it fits.
     """
     common = sorted(set(own) & set(other))[: seam.window]
-    return align(*(np.array([poses[f] for f in common]).reshape(-1, 4, 4) for poses in (own, other)), seam)
+    T_own, T_other = (np.array([poses[f] for f in common]).reshape(-1, 4, 4) for poses in (own, other))
+    return align(T_own, T_other, seam, points)
 
 
 def _stage(aligned: Aligned) -> tuple[str, str]:

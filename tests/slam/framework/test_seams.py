@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from odometry_scripts import walk
+from odometry_scripts import CAMERA, walk
 from scipy.spatial.transform import Rotation
 
-from dslab.slam.framework.alignment import SeamConfig, align
+from dslab.slam.framework.alignment import SeamConfig, SeenPoints, align
 from dslab.slam.optimization.sim3 import moved, sim3_decompose, sim3_matrix
 
 S = sim3_matrix(2.5, Rotation.from_rotvec([0.3, -1.0, 0.5]).as_matrix(), np.array([3.0, -1.0, 2.0]))
@@ -71,3 +71,41 @@ def test_what_cannot_be_aligned_is_refused_with_a_reason():
     assert align(T, growing, SEAM).refused == "scale"
     assert align(T, curling, SEAM).refused == "rotation"
     assert align(T, noisy(T, 0.2), SEAM).refused == "residual"
+
+
+def walls(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Points all around the walk, and three times as many behind them."""
+    directions = np.random.default_rng(seed).normal(size=(40_000, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    return 40.0 * directions[:10_000], 130.0 * directions[10_000:]
+
+
+def scale_with(T: np.ndarray, other: np.ndarray, a: np.ndarray, b: np.ndarray | None) -> float:
+    """Scale by trajectories, and by points if there are some."""
+    points = None if b is None else SeenPoints(CAMERA, a, b)
+    found = align(T, other, SeamConfig(), points)
+    assert found.refused == ""
+    return sim3_decompose(found.S_b_a)[0]
+
+
+def test_depths_tell_the_scale_where_the_motion_is_told_wrong():
+    T, (near, far) = walk(40), walls()
+    other = T.copy()
+    other[:, :3, 3] *= 1.08
+    other = moved(S, other)
+    seen_again = near + np.random.default_rng(1).normal(0, 0.2, near.shape)
+    s, R, t = sim3_decompose(S)
+    placed = s * seen_again @ R.T + t
+    everything = np.concatenate([near, far])
+    assert scale_with(T, other, near, None) == pytest.approx(2.5 * 1.08, rel=0.005)
+    assert scale_with(T, other, near, placed) == pytest.approx(2.5, rel=0.01)
+    assert scale_with(T, other, everything, placed) == pytest.approx(2.5, rel=0.01), "a wall hides the other"
+    for few in (placed[:0], placed[:50]):
+        assert scale_with(T, other, near, few) == pytest.approx(2.5 * 1.08, rel=0.005)
+
+
+def test_depths_that_differ_from_quarter_to_quarter_are_refused():
+    T, (near, _) = walk(40), walls()
+    growing = near * np.exp(0.006 * near[:, :1])  # to the side that the walk turns to
+    assert align(T, T, SEAM, SeenPoints(CAMERA, near, near)).refused == ""
+    assert align(T, T, SEAM, SeenPoints(CAMERA, near, growing)).refused in ("scale", "residual")
