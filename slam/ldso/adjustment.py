@@ -1,6 +1,10 @@
 """Photometric bundle adjustment of a window.
 
-Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3.
+Images determine neither where a window lies nor how large it is. Where nothing is held, what is known worst
+moves most and drags the rest along: in blur a tenth of the scale within a second. So the oldest keyframes
+hold, which most images have placed.
+
+Source: Engel, Koltun, Cremers, "Direct Sparse Odometry", 2018, Sec. 2.3. Ours: what is held.
 The driver of least squares is the lab's one.
 """
 
@@ -16,6 +20,7 @@ from dslab.slam.optimization.least_squares import minimise
 _DAMPING = 1e-4
 _STILL_PX = 0.01  # a smaller step of all keyframes is none
 _PATTERN = 8
+_OLDER = 10.0  # squares of steps of a keyframe count so many times those of the next one
 
 
 @dataclass(frozen=True)
@@ -150,7 +155,7 @@ class _Problem:
 def _step(
     window: Window, model: WindowModel, photometric: PhotometricConfig, damping: float
 ) -> tuple[np.ndarray, float]:
-    """(8 S,) step of the keyframes, none along what no residual determines, and their part of the gain."""
+    """(8 S,) step of the keyframes, the oldest held, and their part of the gain."""
     H, b = model.H + window.prior_H, model.b + window.prior_b + window.prior_H @ window.delta.ravel()
     information, pull = affine_prior(window, photometric)
     H[np.diag_indices_from(H)] += information
@@ -164,13 +169,21 @@ def _step(
     A[np.diag_indices_from(A)] += 1e-10
     step = np.zeros(len(b))
     step[rows] = -scale * np.linalg.solve(A, scale * g)
-    free = gauge(window)
-    step -= free @ (free.T @ step)
+    step = held(window, step)
     return step, float(step @ (damping * H.diagonal() * step - b))
 
 
+def held(window: Window, step: np.ndarray) -> np.ndarray:
+    """A step (8 S,) moved along what no image determines, until the oldest keyframes move least."""
+    free = np.linalg.qr(gauge(window))[0]
+    weight = np.zeros((window.size, PARAMETERS))
+    weight[window.slots] = (_OLDER ** -np.arange(len(window)))[:, None]
+    weighed = free * weight.reshape(-1, 1)
+    return step - free @ np.linalg.solve(weighed.T @ free, weighed.T @ step)
+
+
 def gauge(window: Window) -> np.ndarray:
-    """(8 S, 7) orthonormal directions that no image determines: place, orientation and scale of it all."""
+    """(8 S, 7) directions that no image determines: orientation, place and scale of it all."""
     directions = np.zeros((window.size, PARAMETERS, 7))
     for s in window.slots:
         R, t = window.T_cam_map[s, :3, :3], window.T_cam_map[s, :3, 3]
@@ -178,7 +191,7 @@ def gauge(window: Window) -> np.ndarray:
         directions[s, 3:6, 3:6] = R
         directions[s, :3, 3:6] = np.cross(t[None, :], R.T).T
         directions[s, :3, 6] = t
-    return np.linalg.qr(directions.reshape(-1, 7))[0]
+    return directions.reshape(-1, 7)
 
 
 def affine_prior(window: Window, photometric: PhotometricConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -73,23 +73,26 @@ def test_a_snapshot_goes_on_bit_for_bit():
         np.testing.assert_array_equal(a.T_map_cam, b.T_map_cam)
 
 
-@pytest.mark.parametrize("known", [True, False])
 @pytest.mark.slow
-def test_brightness_is_expected_to_follow_known_exposures(known):
+def test_brightness_is_expected_to_follow_known_exposures():
     """Every fourth image is exposed a fifth as long; brightness must hardly differ from what is expected, and
-    where exposures are not known the path is wrong.
+    where exposures are not known the path is worse.
     """
-    settings = DsoConfig(photometric=PhotometricConfig(gain_sigma=1e-5))
-    system, centres = DsoSlam(CAMERA, 3, dso=settings), []
-    for k, (image, stamp_s, T_world_cam) in enumerate(toy_frames(40, step_m=0.04)):
-        share = 0.2 if k % 4 == 3 else 1.0
-        exposure_s = 0.02 * share if known else None
-        system.process(np.rint(share * image).astype(np.uint8), stamp_s, exposure_s)
-        centres.append(T_world_cam[:3, 3])
-    paths = system.trajectories()
-    whole = len(paths) == 1 and len(paths[0].frames) == 40
-    right = whole and position_error(paths[0], np.array(centres)) < 0.0015
-    assert right == known
+
+    def error(known: bool) -> float:
+        settings = DsoConfig(photometric=PhotometricConfig(gain_sigma=1e-5))
+        system, centres = DsoSlam(CAMERA, 3, dso=settings), []
+        for k, (image, stamp_s, T_world_cam) in enumerate(toy_frames(40, step_m=0.04)):
+            share = 0.2 if k % 4 == 3 else 1.0
+            exposure_s = 0.02 * share if known else None
+            system.process(np.rint(share * image).astype(np.uint8), stamp_s, exposure_s)
+            centres.append(T_world_cam[:3, 3])
+        paths = system.trajectories()
+        whole = len(paths) == 1 and len(paths[0].frames) == 40
+        return position_error(paths[0], np.array(centres)) if whole else np.inf
+
+    known = error(True)
+    assert known < 0.001 and known < 0.7 * error(False)
 
 
 def test_misuse_raises():
