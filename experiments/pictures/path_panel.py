@@ -107,7 +107,7 @@ def _headline(run: DrawnRun) -> str:
     count = len(run.outcomes)
     maps = len(run.record.trajectories)
     where = f" in one of {maps} maps" if maps > 1 else ""
-    lines = [f"{run.name}: {posed:.1%} of the frames have a pose{where}"]
+    lines = [run.name, f"{posed:.1%} of the frames have a pose{where}"]
     if count:
         repairs = {
             "recovered": sum(o.recovered for o in run.outcomes),

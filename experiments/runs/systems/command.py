@@ -160,7 +160,10 @@ def _record(
     events = () if spec.events is None else read_events(left / spec.events, sequence.stamps_s, faults)
     places = {path.map_id: place for place, path in enumerate(paths)}
     made = sorted(made, key=lambda path: places.get(path.map_id, len(places)))
+    events = events if spec.events else _losses(sequence, frames, spec.lost_states)
     results = _results(sequence, paths[:1] if spec.live is None else live, frames, made)
+    if not any("map_id" in said for said in frames.values()):
+        results = _in_maps(results, [event.frame for event in events if isinstance(event, Breakage)], paths)
     ending = next((e for e in (run.ending, *faults) if e.kind is not EndKind.FINISHED), run.ending)
     declares = Declares.LOSSES if spec.lost_states else Declares.NOTHING
     return RunRecord(
@@ -169,7 +172,7 @@ def _record(
         seed=seed,
         config=config,
         results=results,
-        events=events if spec.events else _losses(sequence, frames, spec.lost_states),
+        events=events,
         trajectories=paths,
         keyframes=tuple(made),
         live=live_trajectories(results),
@@ -208,6 +211,27 @@ def _results(
         beside = {name: said.get(name, 0.0) for name in ("mapping_cpu_ms", "loop_cpu_ms")}
         results.append(replace(result, map_id=int(said.get("map_id", 0)), **beside))
     return tuple(results)
+
+
+def _in_maps(
+    results: tuple[TrackingResult, ...], losses: Many[int], final: Many[MapTrajectory]
+) -> tuple[TrackingResult, ...]:
+    """Outcomes with the map of their poses, of a program that does not say it.
+
+    Poses behind a loss are of another map, unless most of them are among the final ones of a former map.
+    """
+    if not final:
+        return results
+    part_of = np.searchsorted(losses, [result.frame for result in results], side="right")
+    posed = np.array([result.T_map_cam is not None for result in results])
+    map_of: dict[int, int] = {}  # of final trajectories
+    ids = np.zeros(len(results), int)
+    for part in range(len(losses) + 1):
+        frames = np.flatnonzero(posed & (part_of == part))
+        shares = [float(np.isin(frames, path.frames).mean()) if len(frames) else 0.0 for path in final]
+        best = int(np.argmax(shares))
+        ids[part_of == part] = map_of.setdefault(best, part) if shares[best] > 0.5 else part
+    return tuple(replace(result, map_id=int(k)) for result, k in zip(results, ids, strict=True))
 
 
 def _losses(

@@ -119,6 +119,18 @@ rows = [row for row, state in zip(rows, states) if state == "OK"]
     assert (summary["cpu_ms_median"], summary["ms_median"]) == (1.5, 2.5)
     assert (summary["tracked"], summary["posed"], summary["live_poses"]) == (20, 35, "given")
     assert record.results[12].reason == "LOST"
+    assert {r.map_id for r in record.results} == {0}, "the final poses go on behind the loss"
+
+
+def test_poses_behind_a_loss_are_of_another_map_where_the_final_ones_are_not(run):
+    edit = """
+states = ["OK"] * 20 + ["LOST"] * 5 + ["OK"] * 15
+(out / "frames.csv").write_text("stamp_s,state\\n" + "\\n".join(f"{s},{w}" for s, w in zip(stamps, states)))
+(out / "live.txt").write_text("".join(" ".join(r) + "\\n" for r, w in zip(rows, states) if w == "OK"))
+rows = rows[:20]
+"""
+    record = run(edit, frames="frames.csv", live="live.txt", lost_states="[LOST]")
+    assert {m: len(path.frames) for m, path in record.live.items()} == {0: 20, 1: 15}
 
 
 @pytest.mark.parametrize("figures", ["2.5,-1.5,0", "-0.1,1,0", "nan,1,0", "1,1e300,0", "1,1,-1"])
