@@ -218,7 +218,7 @@ def _in_maps(
 ) -> tuple[TrackingResult, ...]:
     """Outcomes with the map of their poses, of a program that does not say it.
 
-    Poses behind a loss are of another map, unless most of them are among the final ones of a former map.
+    Poses behind a loss are of another map, unless the final ones of a former map have some of their frames.
     """
     if not final:
         return results
@@ -230,7 +230,7 @@ def _in_maps(
         frames = np.flatnonzero(posed & (part_of == part))
         shares = [float(np.isin(frames, path.frames).mean()) if len(frames) else 0.0 for path in final]
         best = int(np.argmax(shares))
-        ids[part_of == part] = map_of.setdefault(best, part) if shares[best] > 0.5 else part
+        ids[part_of == part] = map_of.setdefault(best, part) if shares[best] else part
     return tuple(replace(result, map_id=int(k)) for result, k in zip(results, ids, strict=True))
 
 

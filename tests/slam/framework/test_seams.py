@@ -74,10 +74,12 @@ def test_what_cannot_be_aligned_is_refused_with_a_reason():
 
 
 def walls(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Points all around the walk, and three times as many behind them."""
-    directions = np.random.default_rng(seed).normal(size=(40_000, 3))
+    """Points all around the walk, and three times as many at all depths behind them."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(40_000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    return 40.0 * directions[:10_000], 130.0 * directions[10_000:]
+    far = 40.0 * np.exp(rng.uniform(0, 0.4, (30_000, 1)))
+    return 40.0 * directions[:10_000], far * directions[10_000:]
 
 
 def scale_with(T: np.ndarray, other: np.ndarray, a: np.ndarray, b: np.ndarray | None) -> float:
@@ -93,13 +95,13 @@ def test_depths_tell_the_scale_where_the_motion_is_told_wrong():
     other = T.copy()
     other[:, :3, 3] *= 1.08
     other = moved(S, other)
-    seen_again = near + np.random.default_rng(1).normal(0, 0.2, near.shape)
+    seen_again = near + np.random.default_rng(1).normal(0, 1.0, near.shape)  # other points of the same wall
     s, R, t = sim3_decompose(S)
     placed = s * seen_again @ R.T + t
     everything = np.concatenate([near, far])
     assert scale_with(T, other, near, None) == pytest.approx(2.5 * 1.08, rel=0.005)
-    assert scale_with(T, other, near, placed) == pytest.approx(2.5, rel=0.01)
-    assert scale_with(T, other, everything, placed) == pytest.approx(2.5, rel=0.01), "a wall hides the other"
+    assert scale_with(T, other, near, placed) == pytest.approx(2.5, rel=0.02)
+    assert scale_with(T, other, everything, placed) == pytest.approx(2.5, rel=0.03), "a wall hides the rest"
     for few in (placed[:0], placed[:50]):
         assert scale_with(T, other, near, few) == pytest.approx(2.5 * 1.08, rel=0.005)
 
